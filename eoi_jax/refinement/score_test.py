@@ -24,7 +24,6 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
-from eoi_jax.compiler.graph import Untranslatable
 from eoi_jax.compiler.pointwise import along, slopes_along
 from eoi_jax.data.record import Record
 from eoi_jax.estimation.regression.orthonormal import orthonormal
@@ -44,10 +43,9 @@ from eoi_jax.refinement.free_run_sums import signals
 from eoi_jax.refinement.problem import Problem, Unknowns, driven, problem_of, weighed
 from eoi_jax.refinement.result import Refinement
 from eoi_jax.refinement.spans import Span
-from eoi_jax.simulation.chained_runs import states_of
+from eoi_jax.simulation.chained_runs import states_along
 from eoi_jax.simulation.integrator import Drive
 from eoi_jax.simulation.linear_response import Response, response_of
-from eoi_jax.simulation.simulate import free_run
 
 Columns = Float[np.ndarray, "rows columns"]
 
@@ -378,13 +376,9 @@ def _states(
     plant: Plant, driven_by: Drive, start: State, friction: tuple[int, ...]
 ) -> tuple[np.ndarray, np.ndarray]:
     """y and z of a run before each step and after the last."""
-    try:
-        drives, starts = jax.tree.map(lambda part: np.asarray(part)[None], (driven_by, start))
-        x = states_of(plant, drives, starts, friction)
-        return np.asarray(x.y)[0], np.asarray(x.z)[0]
-    except Untranslatable:
-        y, z = free_run(plant, jnp.asarray(plant.theta), driven_by, start, friction)
-        return np.asarray(y), np.asarray(z)
+    drives, starts = jax.tree.map(lambda part: np.asarray(part)[None], (driven_by, start))
+    x = states_along(plant, drives, starts, friction)
+    return np.asarray(x.y)[0], np.asarray(x.z)[0]
 
 
 def _stages(problem: Problem, inputs: np.ndarray, *states: np.ndarray) -> tuple[np.ndarray, ...]:

@@ -18,7 +18,14 @@ from eoi_jax.compiler.graph import Untranslatable
 from eoi_jax.compiler.loop import AbstractLoop, shapes_of
 from eoi_jax.compiler.runtime import CompiledLoop, compiled_loop, numbers
 from eoi_jax.models.plant import Plant, State
-from eoi_jax.simulation.integrator import Drive, advanced, chained, first_outputs, output_of
+from eoi_jax.simulation.integrator import (
+    Drive,
+    advanced,
+    chained,
+    first_outputs,
+    free_run,
+    output_of,
+)
 
 
 class _Row(eqx.Module):
@@ -118,19 +125,31 @@ def outputs_of(
     return np.concatenate([first_sample, y[:, last_substeps]], axis=1)
 
 
-def states_of(
+def states_along(
     plant: Plant, drives: Drive, starts: State, friction: tuple[int, ...], chunk: int = 8192
 ) -> State:
-    """States of several runs before each step and after the last; arguments as of `outputs_of`.
-
-    Raises:
-        Untranslatable: of a plant whose runs cannot be compiled.
-    """
+    """States of several runs before each step and after the last; arguments as of `outputs_of`."""
     runs, (rows, ny) = len(starts.y), starts.y.shape[1:]
-    moved = _shown(plant, drives, starts, friction, "states", chunk)
+    try:
+        moved = _shown(plant, drives, starts, friction, "states", chunk)
+    except Untranslatable:
+        return _stepped(plant, drives, starts, friction)
     y, z = np.split(moved, [rows * ny], axis=2)
     y = np.concatenate([starts.y[:, None], y.reshape(runs, -1, rows, ny)], axis=1)
     return State(y, np.concatenate([starts.z[:, None], z], axis=1))
+
+
+def _stepped(plant: Plant, drives: Drive, starts: State, friction: tuple[int, ...]) -> State:
+    """The same by scans, run by run."""
+    theta, runs = jnp.asarray(plant.theta), []
+    for i in range(len(starts.y)):
+        own = (drives.time, drives.step, drives.inputs, drives.last)
+        time, step, inputs, last = (np.asarray(part)[i] for part in own)
+        start = State(starts.y[i], starts.z[i])
+        driven_by = Drive(time, step, inputs, 1, last)
+        runs.append(free_run(plant, theta, driven_by, start, friction))
+    y, z = (np.stack(part) for part in zip(*runs, strict=True))
+    return State(y, z)
 
 
 def _shown(

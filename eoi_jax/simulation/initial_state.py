@@ -1,10 +1,11 @@
 """Initial states of free runs: least squares of each run over its first samples.
 
 Outputs and their derivatives start from local polynomials, or where the plant knows them; internal
-states from where the model declares them, delays and lags of inputs as if these had always been at
-their first values. Gauss-Newton with halved steps (`simulation/gauss_newton.py`) goes on from
-there; the derivatives of the errors are differences, for one of the simulation would take longer to
-compile than all else.
+states from where the model declares them, or in a window from where a run along the whole record
+has them: a few samples say little of a slow store that is not measured. Delays and lags of inputs
+start as if these had always been at their first values. Gauss-Newton with halved steps
+(`simulation/gauss_newton.py`) goes on from there; the derivatives of the errors are differences,
+for one of the simulation would take longer to compile than all else.
 All runs are simulated side by side.
 """
 
@@ -36,6 +37,7 @@ class InitialStateSettings:
     trials: int = 5  # starts; and lengths of a step, each half of the one before, tried at once
     difference: float = 1e-6  # step of derivatives, over the size of the variable
     min_reduction: float = 1e-5  # of the squared error, relative: less is 0.02 standard errors
+    level: float = 0.005  # of significance, from which on internal states are fitted
     past: float = 1e-3  # share of a level before the record below which a run does not see it
 
 
@@ -58,6 +60,7 @@ def initial_states(
     valid: Bool[np.ndarray, "runs time ny"],
     past: Float[np.ndarray, "runs steps 3 nu past"] | None = None,
     begins: Bool[np.ndarray, " runs"] | None = None,
+    carried: Float[np.ndarray, "runs nz"] | None = None,
 ) -> Starts:
     """Least squares of each free run over its first samples, by Gauss-Newton.
 
@@ -70,6 +73,8 @@ def initial_states(
             a plant with delays or lags of inputs.
         begins: which runs begin with their record: known starts of the plant hold there. None: no
             run does.
+        carried: internal states that a run along the whole record has at each start. A run begins
+            there with them, unless its first samples tell otherwise; not finite ones do not count.
 
     Returns:
         Outputs and their derivatives, then z, then the levels before the record, less the first
@@ -98,20 +103,62 @@ def initial_states(
     spread = np.where(spread > 0, spread, 1.0)
     first_samples = _Heads(run, heads, y, valid, period, spread, past, fixed)
     cost, values = _descend(first_samples, starts, measured)
-    if np.any(run.plant.open_internal) or past is not None:
-        # Internal states stay where the model starts them, and inputs have always been at their
-        # first values, unless the first samples tell (BIC): from a few noisy ones they would come
-        # out anywhere.
-        free = np.ones(len(measured), dtype=bool)
-        free[np.sum(measured) :][: len(z)] = run.plant.open_internal
-        freed_cost, freed_values = _descend(first_samples, values[:, None], free)
-        count = np.maximum(np.sum(valid, axis=(1, 2)), 2)
-        unknown = np.sum(run.plant.open_internal) + (
-            0 if past is None else np.sum(np.any(past != 0, axis=(1, 2, 3)), axis=1)
-        )
-        significant = freed_cost < cost * np.exp(-2.0 * unknown * np.log(count) / count)
-        values = np.where(significant[:, None], freed_values, values)
-    return values
+    if not np.any(run.plant.open_internal) and past is None:
+        return values
+    return _with_internal(first_samples, _Fit(cost, values), starts, measured, carried)
+
+
+class _Fit(NamedTuple):
+    """Squared error over the first samples, and initial values, of each run."""
+
+    cost: Float[np.ndarray, " runs"]
+    values: Starts
+
+
+def _with_internal(
+    heads: "_Heads",
+    fit: _Fit,
+    starts: Trials,
+    measured: Bool[np.ndarray, " unknowns"],
+    carried: Float[np.ndarray, "runs nz"] | None,
+) -> Starts:
+    """Initial values with those of internal states, and with levels before the record.
+
+    Internal states are where the model starts them, or where a run along the record has them, and
+    inputs have always been at their first values, unless the first samples tell (F-test): from a
+    few noisy ones, or of a model that lacks something, they would come out anywhere.
+
+    Args:
+        heads: the first samples.
+        fit: with internal states where the model starts them.
+        starts: of that fit.
+        measured: which unknowns are outputs and their derivatives.
+        carried: as of `initial_states`.
+    """
+    from scipy.special import fdtri  # only plants with internal states need it
+
+    opened = np.zeros(len(measured), dtype=bool)
+    first = int(np.sum(measured))
+    internal = slice(first, first + len(heads.run.plant.initial_internal))
+    opened[internal] = heads.run.plant.open_internal
+    unknown = np.sum(opened)
+    if heads.past is not None:
+        unknown = unknown + np.sum(np.any(heads.past != 0, axis=(1, 2, 3)), axis=1)
+    rest = np.maximum(np.sum(heads.valid, axis=(1, 2)) - first - unknown, 1)
+    told = 1.0 / (1.0 + unknown * fdtri(unknown, rest, 1.0 - _SETTINGS.level) / rest)
+    cost, values = fit
+    if carried is not None:
+        usable = opened[internal] & np.all(np.isfinite(carried), axis=1, keepdims=True)
+        moved = np.array(starts)
+        moved[..., internal] = np.where(usable[:, None], carried[:, None], moved[..., internal])
+        carried_fit = _Fit(*_descend(heads, moved, measured))
+        goes_on = told * carried_fit.cost <= cost
+        cost = np.where(goes_on, carried_fit.cost, cost)
+        values = np.where(goes_on[:, None], carried_fit.values, values)
+    free = measured | opened
+    free[internal.stop :] = True
+    freed_cost, freed_values = _descend(heads, values[:, None], free)
+    return np.where((freed_cost < told * cost)[:, None], freed_values, values)
 
 
 class _Start(NamedTuple):

@@ -161,6 +161,9 @@ def trajectory(
     return y, z
 
 
+free_run = jit(trajectory)
+
+
 @jit  # traced and differentiated once, however many loops contain it
 def advanced(
     plant: Plant,

@@ -9,8 +9,8 @@ from eoi_jax._checks import check, check_choice, check_kind, check_shape
 from eoi_jax._types import Scalar
 from eoi_jax.data.input_holds import TRACED_HOLDS
 from eoi_jax.models.plant import Plant, State
-from eoi_jax.simulation.integrator import frictional
-from eoi_jax.simulation.simulate import acted, drive, free_run, initial_outputs
+from eoi_jax.simulation.integrator import free_run, frictional
+from eoi_jax.simulation.simulate import acted, drive, initial_outputs
 
 
 def rollout(

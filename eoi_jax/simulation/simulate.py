@@ -40,14 +40,10 @@ from eoi_jax.simulation.integrator import (
     frictional,
     outputs_along,
     rate_of,
-    trajectory,
 )
 from eoi_jax.simulation.step_size import RULES, finest_steps, mode_along
 
 Pieces = Float[np.ndarray, "steps order nu"]
-
-# Compiled once for each plant and shape.
-free_run = jit(trajectory)
 
 
 def simulate(

@@ -11,7 +11,7 @@ from functools import partial
 from typing import Protocol, runtime_checkable
 
 import numpy as np
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Bool, Float
 
 from eoi_jax._blas import one_thread
 from eoi_jax._checks import check, check_count, check_positive, counted, timed
@@ -40,12 +40,11 @@ from eoi_jax.data.windows import (
 from eoi_jax.models.check_records import check_records
 from eoi_jax.models.controller import Controller
 from eoi_jax.models.plant import Plant
-from eoi_jax.simulation.chained_runs import outputs_of
 from eoi_jax.simulation.closed_loop import closed_loop
-from eoi_jax.simulation.contradicted_start import contradicted_start
 from eoi_jax.simulation.error_growth import error_growth, is_lost, restarted, window_head
-from eoi_jax.simulation.initial_state import Run, Starts, initial_states, states_of, with_past
-from eoi_jax.simulation.integrator import Drive, frictional
+from eoi_jax.simulation.initial_state import Run, Starts
+from eoi_jax.simulation.integrator import frictional
+from eoi_jax.simulation.planned_runs import planned_runs
 from eoi_jax.simulation.simulate import acted, drive, past_slopes
 from eoi_jax.simulation.start_error import sufficient_starts
 from eoi_jax.simulation.step_size import (
@@ -496,7 +495,7 @@ def _predict(run: Run, piece: _Piece, values: Starts | None) -> tuple[Samples, S
     past = None if run.plant.actuator is None else past_slopes(run.plant, driven_by)
     begins = np.asarray(runs.starts) + piece.first == 0
     begins &= not record.continues
-    free_runs, values, notes = _free_runs(
+    free_runs, values, notes = planned_runs(
         run, record, acted(run.plant, driven_by), runs, past, begins, values
     )
     for start, sample_range, y_hat in zip(runs.starts, runs.predicted, free_runs, strict=True):
@@ -513,53 +512,6 @@ def _predict(run: Run, piece: _Piece, values: Starts | None) -> tuple[Samples, S
             f"The free run on {record.name} diverges: it is not finite from t = {diverged:g} s on."
         )
     return joined(prediction, predicted), values, notes
-
-
-def _free_runs(
-    run: Run,
-    record: Record,
-    record_drive: Drive,
-    runs: Plan,
-    past: np.ndarray | None,
-    begins: Bool[np.ndarray, " runs"],
-    values: Starts | None,
-) -> tuple[Float[np.ndarray, "runs time ny"], Starts, list[str]]:
-    """The runs of a plan, each from its own initial state, and that; notes on known starts.
-
-    `past`: how the inputs of all steps change with their levels before the record. `begins`: which
-    runs begin with it. `values`: initial ones; None: they are estimated.
-    """
-    if not runs.starts:
-        return np.zeros((0, runs.steps + 1, record.outputs.shape[1])), np.zeros((0, 0)), []
-    first_samples = np.asarray(runs.starts)[:, None] + np.arange(runs.head)
-    head = _parts(record_drive, runs.starts, runs.head - 1)
-    y, valid = record.outputs[first_samples], record.output_valid[first_samples]
-    head_past = None if past is None else past[_steps(record_drive, runs.starts, runs.head - 1)]
-    if values is None:
-        values = initial_states(run, head, y, valid, head_past, begins)
-    drives = _parts(record_drive, runs.starts, runs.steps)
-    if past is not None:
-        whole = past[_steps(record_drive, runs.starts, runs.steps)]
-        drives = with_past(drives, whole, values)
-    declared = values if past is None else None  # without levels before the record
-    notes = contradicted_start(run, head, y, valid, declared, begins, record.name)
-    outputs = outputs_of(run.plant, drives, states_of(run.plant, values), run.friction)
-    return outputs, values, notes
-
-
-def _steps(record_drive: Drive, starts: Sequence[int], count: int) -> Int[np.ndarray, "runs steps"]:
-    """Steps of each run; a late one ends beyond the record, where nothing is looked at."""
-    n = record_drive.substeps
-    steps = n * np.asarray(starts)[:, None] + np.arange(n * count)
-    return np.minimum(steps, len(record_drive.time) - 1)
-
-
-def _parts(record_drive: Drive, starts: Sequence[int], count: int) -> Drive:
-    """What drives each run, runs first."""
-    n, steps = record_drive.substeps, _steps(record_drive, starts, count)
-    period = np.full(len(starts), record_drive.step)
-    last = record_drive.following[steps[:, -1]]
-    return Drive(record_drive.time[steps], period, record_drive.inputs[steps], n, last)
 
 
 # -- scores -------------------------------------------------------------------------------

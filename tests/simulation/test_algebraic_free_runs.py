@@ -27,8 +27,8 @@ from eoi_jax.refinement.problem import kernel_of
 from eoi_jax.refinement.refine import refine
 from eoi_jax.simulation import compiled_runs
 from eoi_jax.simulation.chained_runs import _scanned, outputs_of
-from eoi_jax.simulation.integrator import Drive, frictional
-from eoi_jax.simulation.simulate import acted, drive, free_run, simulate
+from eoi_jax.simulation.integrator import Drive, free_run, frictional
+from eoi_jax.simulation.simulate import acted, drive, simulate
 from eoi_jax.simulation.validate import validate
 
 

@@ -6,9 +6,9 @@ import pytest
 
 import eoi_jax as eoi
 from eoi_jax.models.plant import State
-from eoi_jax.simulation.integrator import frictional
+from eoi_jax.simulation.integrator import free_run, frictional
 from eoi_jax.simulation.linear_response import response_of
-from eoi_jax.simulation.simulate import drive, free_run
+from eoi_jax.simulation.simulate import drive
 
 PERIOD, SAMPLES = 0.01, 400
 TIME = np.arange(SAMPLES + 1) * PERIOD

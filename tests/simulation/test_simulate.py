@@ -21,10 +21,11 @@ from eoi_jax.simulation.integrator import (
     Drive,
     _first_zero,
     chained,
+    free_run,
     frictional,
     trajectory,
 )
-from eoi_jax.simulation.simulate import drive, free_run, simulate
+from eoi_jax.simulation.simulate import drive, simulate
 
 
 def block_dynamics(t, x, u, p):

@@ -1,0 +1,97 @@
+"""The free runs of a plan, each from its own initial state."""
+
+from collections.abc import Sequence
+
+import numpy as np
+from jaxtyping import Bool, Float, Int
+
+from eoi_jax.data.record import Record
+from eoi_jax.data.windows import Plan
+from eoi_jax.simulation.chained_runs import outputs_of, states_along
+from eoi_jax.simulation.contradicted_start import contradicted_start
+from eoi_jax.simulation.initial_state import Run, Starts, initial_states, states_of, with_past
+from eoi_jax.simulation.integrator import Drive
+
+
+def planned_runs(
+    run: Run,
+    record: Record,
+    record_drive: Drive,
+    runs: Plan,
+    past: np.ndarray | None,
+    begins: Bool[np.ndarray, " runs"],
+    values: Starts | None,
+) -> tuple[Float[np.ndarray, "runs time ny"], Starts, list[str]]:
+    """Outputs of the runs, their initial values, and notes on known starts.
+
+    Args:
+        run: what all runs share.
+        record: that is simulated.
+        record_drive: what drives it, behind the plant's actuators.
+        runs: their plan.
+        past: how the inputs of all steps change with their levels before the record
+            (`past_slopes`), of a plant with delays or lags of inputs.
+        begins: which runs begin with the record.
+        values: initial ones; None: they are estimated.
+    """
+    if not runs.starts:
+        return np.zeros((0, runs.steps + 1, record.outputs.shape[1])), np.zeros((0, 0)), []
+    first_samples = np.asarray(runs.starts)[:, None] + np.arange(runs.head)
+    head = _parts(record_drive, runs.starts, runs.head - 1)
+    y, valid = record.outputs[first_samples], record.output_valid[first_samples]
+    head_past = None if past is None else past[_steps(record_drive, runs.starts, runs.head - 1)]
+    if values is None:
+        carried = _carried(run, record, record_drive, runs, past, begins)
+        values = initial_states(run, head, y, valid, head_past, begins, carried)
+    drives = _parts(record_drive, runs.starts, runs.steps)
+    if past is not None:
+        whole = past[_steps(record_drive, runs.starts, runs.steps)]
+        drives = with_past(drives, whole, values)
+    declared = values if past is None else None  # without levels before the record
+    notes = contradicted_start(run, head, y, valid, declared, begins, record.name)
+    outputs = outputs_of(run.plant, drives, states_of(run.plant, values), run.friction)
+    return outputs, values, notes
+
+
+def _carried(
+    run: Run,
+    record: Record,
+    record_drive: Drive,
+    runs: Plan,
+    past: np.ndarray | None,
+    begins: Bool[np.ndarray, " runs"],
+) -> Float[np.ndarray, "runs nz"] | None:
+    """Internal states where the runs start, of a single run along the record.
+
+    It starts from all samples of the first of them. None of a plant without internal states that
+    may start at any value, or of a single run.
+    """
+    if len(runs.starts) < 2 or not np.any(run.plant.open_internal):
+        return None
+    first, count = runs.starts[:1], runs.steps
+    samples = first[0] + np.arange(count + 1)[None]
+    head = _parts(record_drive, first, count)
+    head_past = None if past is None else past[_steps(record_drive, first, count)]
+    y, valid = record.outputs[samples], record.output_valid[samples]
+    values = initial_states(run, head, y, valid, head_past, begins[:1])
+    reach = runs.starts[-1] - first[0]
+    drives = _parts(record_drive, first, reach)
+    if past is not None:
+        drives = with_past(drives, past[_steps(record_drive, first, reach)], values)
+    z = states_along(run.plant, drives, states_of(run.plant, values), run.friction).z[0]
+    return z[run.substeps * (np.asarray(runs.starts) - first[0])]
+
+
+def _steps(record_drive: Drive, starts: Sequence[int], count: int) -> Int[np.ndarray, "runs steps"]:
+    """Steps of each run; a late one ends beyond the record, where nothing is looked at."""
+    n = record_drive.substeps
+    steps = n * np.asarray(starts)[:, None] + np.arange(n * count)
+    return np.minimum(steps, len(record_drive.time) - 1)
+
+
+def _parts(record_drive: Drive, starts: Sequence[int], count: int) -> Drive:
+    """What drives each run, runs first."""
+    n, steps = record_drive.substeps, _steps(record_drive, starts, count)
+    period = np.full(len(starts), record_drive.step)
+    last = record_drive.following[steps[:, -1]]
+    return Drive(record_drive.time[steps], period, record_drive.inputs[steps], n, last)
