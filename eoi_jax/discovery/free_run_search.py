@@ -284,6 +284,29 @@ class Search:
         return best if trial is None or trial.error > best.error else trial
 
 
+def exchanged_ratio(answer: FreeRunAnswer) -> float:
+    """Ratio of the errors with and without the effects of an answer, when the parts change places.
+
+    Both models are refined on the records that judged, and judged on those of the fit, or on the
+    beginning of long ones: a few records that move slowly may prefer either by chance.
+    """
+    judge = Judge.of(_portion(answer.records))
+    if judge is None:
+        return np.inf
+    models = [
+        [
+            fit
+            for window in (None, judge.window)
+            if (fit := _fitted(model.refinement.plant, model.placed, answer.judging, window, judge))
+        ]
+        for model in (answer.base, answer.best)
+    ]
+    if not all(models):
+        return np.inf
+    base, best = (min(fits, key=lambda fit: fit.error) for fits in models)
+    return float(np.exp(best.error - base.error))
+
+
 def refined(
     plant: Plant, placed: tuple[Placed, ...], records: tuple[Record, ...], judge: Judge
 ) -> Judged | None:

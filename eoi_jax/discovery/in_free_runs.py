@@ -23,13 +23,14 @@ from eoi_jax.discovery.free_run_search import (
     Model,
     RecordPair,
     Search,
+    exchanged_ratio,
     refined,
     search_free_runs,
 )
 from eoi_jax.discovery.judge import Judged, mean_error
 from eoi_jax.discovery.probability import Standing, from_contests
 from eoi_jax.discovery.refit import on_bounds
-from eoi_jax.discovery.remarks import GridNote, HoldNote, Reason, is_on_fit
+from eoi_jax.discovery.remarks import FitNote, GridNote, HoldNote, Reason, is_on_fit
 from eoi_jax.discovery.result import Added, Discovery, PartialExplanation
 from eoi_jax.discovery.rivals import experiments
 from eoi_jax.discovery.rules import RULES
@@ -250,17 +251,26 @@ def answered(discovery: Discovery, answer: FreeRunAnswer, lowpass: LowPass | Non
     """The discovery with the model that the search came to, where that is an answer.
 
     It must lower the errors as much as what confirms an effect elsewhere (`confirm.py`): part of an
-    effect that the library lacks can lower them a little, too. Else it is the lead, and the
+    effect that the library lacks can lower them a little, too. Where it lowers those of the
+    held-out records less, but by more than chance, the mean over both parts counts, each predicted
+    by the other. Else it is the lead, and the
     declared model is refined unless that raises them by more than chance.
     """
     base, best = answer.base, answer.best
     ratio = float(np.exp(best.error - base.error))
-    if best.placed and ratio < RULES.answer.confirmed and not _imitates(discovery, best):
+    confirms = ratio < RULES.answer.confirmed
+    notes: list[str] = []
+    if best.placed and not confirms:
+        exchanged = exchanged_ratio(answer)
+        confirms = exchanged < 1.0 and np.sqrt(ratio * exchanged) < RULES.answer.confirmed
+        notes = [FitNote(_EXCHANGED.format(exchanged))]
+    if best.placed and confirms and not _imitates(discovery, best):
         names = labels_of(best.placed)
         left = beyond_noise(best.runs[1], answer.judging)
         code, text = ("partial", _PARTIAL) if left else ("complete", _COMPLETE)
         found = replace(discovery, status=Status(code, text.format(names, ratio)), lead=None)
-        return _with_model(found, answer, best, lowpass)
+        found = _with_model(found, answer, best, lowpass)
+        return replace(found, notes=(*found.notes, *notes))
     if discovery.added:
         return discovery
     lead = None
@@ -376,6 +386,11 @@ _BETTER = (
 )
 _PORTION = (
     "effects were searched in {:.3g} % of the samples, to save time; all of them refined the model"
+)
+_EXCHANGED = (
+    "the other way about, fitted to the held-out records and judged on those of the fit, errors "
+    "have {:.3g} of those of the refined declared model: the mean of both ratios decides, for the "
+    "held-out records alone hardly tell"
 )
 _NOT_EXPLAINED = (
     "refined, the declared model misses the held-out records by more than noise or chance in free "

@@ -242,6 +242,17 @@ def own_states(plant: Plant) -> int:
     return count
 
 
+def slope_followers(plant: Plant) -> Float[np.ndarray, "nz ny"]:
+    """By how much internal states fall when an output is set higher: differences from an output."""
+    falls, first = np.zeros((len(plant.initial_internal), len(plant.outputs))), own_states(plant)
+    for placement in added_effects(plant):
+        states = slice(first, first + placement.effect.states)
+        if placement.effect.follows_slope:
+            falls[states] = placement.coordinate(np.eye(len(plant.outputs)))
+        first = states.stop
+    return falls
+
+
 def unit(plant: Plant, placed: Placed, pattern: str) -> str:
     """The unit of an effect's parameter at its channel; "" if the plant declares no units."""
     j = placed.channel

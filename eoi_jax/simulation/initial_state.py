@@ -18,6 +18,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from eoi_jax.data.cleaning import channel_groups
+from eoi_jax.models.augmented import slope_followers
 from eoi_jax.models.plant import Plant, State
 from eoi_jax.models.start_weights import proportional_starts
 from eoi_jax.simulation.chained_runs import outputs_of
@@ -60,7 +61,7 @@ def initial_states(
     valid: Bool[np.ndarray, "runs time ny"],
     past: Float[np.ndarray, "runs steps 3 nu past"] | None = None,
     begins: Bool[np.ndarray, " runs"] | None = None,
-    carried: Float[np.ndarray, "runs nz"] | None = None,
+    carried: State | None = None,
 ) -> Starts:
     """Least squares of each free run over its first samples, by Gauss-Newton.
 
@@ -73,8 +74,9 @@ def initial_states(
             a plant with delays or lags of inputs.
         begins: which runs begin with their record: known starts of the plant hold there. None: no
             run does.
-        carried: internal states that a run along the whole record has at each start. A run begins
-            there with them, unless its first samples tell otherwise; not finite ones do not count.
+        carried: states that a run along the whole record has at each start. A run begins there with
+            its internal states, unless its first samples tell otherwise; not finite ones do not
+            count.
 
     Returns:
         Outputs and their derivatives, then z, then the levels before the record, less the first
@@ -120,7 +122,7 @@ def _with_internal(
     fit: _Fit,
     starts: Trials,
     measured: Bool[np.ndarray, " unknowns"],
-    carried: Float[np.ndarray, "runs nz"] | None,
+    carried: State | None,
 ) -> Starts:
     """Initial values with those of internal states, and with levels before the record.
 
@@ -148,9 +150,12 @@ def _with_internal(
     told = 1.0 / (1.0 + unknown * fdtri(unknown, rest, 1.0 - _SETTINGS.level) / rest)
     cost, values = fit
     if carried is not None:
-        usable = opened[internal] & np.all(np.isfinite(carried), axis=1, keepdims=True)
-        moved = np.array(starts)
-        moved[..., internal] = np.where(usable[:, None], carried[:, None], moved[..., internal])
+        moved, plant = np.array(starts), heads.run.plant
+        # A difference from an output changes with the output, which starts as measured.
+        risen = states_of(plant, values).y[:, 0] - carried.y[:, 0]
+        z = carried.z - risen @ slope_followers(plant).T
+        usable = opened[internal] & np.all(np.isfinite(z), axis=1, keepdims=True)
+        moved[..., internal] = np.where(usable[:, None], z[:, None], moved[..., internal])
         carried_fit = _Fit(*_descend(heads, moved, measured))
         goes_on = told * carried_fit.cost <= cost
         cost = np.where(goes_on, carried_fit.cost, cost)

@@ -7,6 +7,7 @@ from jaxtyping import Bool, Float, Int
 
 from eoi_jax.data.record import Record
 from eoi_jax.data.windows import Plan
+from eoi_jax.models.plant import State
 from eoi_jax.simulation.chained_runs import outputs_of, states_along
 from eoi_jax.simulation.contradicted_start import contradicted_start
 from eoi_jax.simulation.initial_state import Run, Starts, initial_states, states_of, with_past
@@ -60,11 +61,11 @@ def _carried(
     runs: Plan,
     past: np.ndarray | None,
     begins: Bool[np.ndarray, " runs"],
-) -> Float[np.ndarray, "runs nz"] | None:
-    """Internal states where the runs start, of a single run along the record.
+) -> State | None:
+    """States where the runs start, of a single run along the record.
 
-    It starts from all samples of the first of them. None of a plant without internal states that
-    may start at any value, or of a single run.
+    That one starts from all samples of the first run. None of a plant without internal states that
+    may start at any value, or without further runs.
     """
     if len(runs.starts) < 2 or not np.any(run.plant.open_internal):
         return None
@@ -78,8 +79,9 @@ def _carried(
     drives = _parts(record_drive, first, reach)
     if past is not None:
         drives = with_past(drives, past[_steps(record_drive, first, reach)], values)
-    z = states_along(run.plant, drives, states_of(run.plant, values), run.friction).z[0]
-    return z[run.substeps * (np.asarray(runs.starts) - first[0])]
+    x = states_along(run.plant, drives, states_of(run.plant, values), run.friction)
+    steps = run.substeps * (np.asarray(runs.starts) - first[0])
+    return State(x.y[0, steps], x.z[0, steps])
 
 
 def _steps(record_drive: Drive, starts: Sequence[int], count: int) -> Int[np.ndarray, "runs steps"]:

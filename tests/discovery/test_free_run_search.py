@@ -9,7 +9,7 @@ from scipy.signal import lfilter
 
 import eoi_jax as eoi
 from eoi_jax import effects
-from eoi_jax.discovery import free_run_search
+from eoi_jax.discovery import free_run_search, in_free_runs
 from eoi_jax.discovery.free_run_search import Search, search_free_runs
 from eoi_jax.discovery.judge import Judge, _standardised
 from eoi_jax.models.augmented import augmented, place
@@ -191,6 +191,44 @@ def test_a_few_held_out_samples_that_drift_do_not_choose_between_fits_of_one_mod
     assert search.judge.prefers(search.judge.runs(aged), search.base.runs)
     assert search._predicts_better(search.base, aged)
     assert not replace(search, searched=judging)._predicts_better(search.base, aged)
+
+
+def shaken(seed, count=300, amplitude=9.0, samples=8):
+    """The beginning of a record with a swing of the temperature that no model has."""
+    part = measured(seed)[:count]
+    swing = amplitude * np.sin(2.0 * np.pi * np.arange(count) / samples)
+    return part.with_outputs(part.outputs + swing[:, None], part.name)
+
+
+def test_an_effect_that_disturbed_records_hardly_confirm_is_judged_the_other_way_about():
+    """Held-out errors are those of the disturbance; fitted to them, the store predicts the rest."""
+    found = eoi.discover(PLATE, measured(1), shaken(2), [effects.SecondNode()])
+    assert (found.status.code, found.effects) == ("partial", ("second_node",))
+    note = next(note for note in found.notes if note.startswith("the other way about"))
+    ratio = float(note.split("have ")[1].split(" of")[0])
+    assert ratio < 0.1
+    assert found.windows_before is not None
+    assert found.windows_after is not None
+    assert found.windows_after.rmse[0] > 0.7 * found.windows_before.rmse[0]
+
+
+@pytest.mark.parametrize("ratio", [0.5, 0.7, 1.2])
+def test_an_effect_stays_a_lead_where_neither_part_confirms_it(monkeypatch, ratio):
+    """√(0.78 ratio) is below two thirds for the first one alone."""
+    monkeypatch.setattr(in_free_runs, "exchanged_ratio", lambda answer: ratio)
+    found = eoi.discover(PLATE, measured(1), shaken(2), [effects.SecondNode()])
+    if ratio == 0.5:
+        assert found.effects == ("second_node",)
+        return
+    assert (found.status.code, found.effects) == ("unexplained", ())
+    assert found.lead is not None
+    assert [added.effect.name for added in found.lead.added] == ["second_node"]
+
+
+def test_the_parts_are_not_exchanged_where_the_records_of_the_fit_are_too_short():
+    answer = searched(measured(1), measured(2), [effects.ConstantOffset()])
+    short = (measured(1)[:20],)
+    assert free_run_search.exchanged_ratio(replace(answer, records=short)) == np.inf
 
 
 def test_records_too_short_for_windows_are_not_judged():
