@@ -70,9 +70,12 @@ def leaves_open(discovery: Discovery) -> bool:
         isinstance(addition.effect, Drift | SinusoidalDisturbance) for addition in discovery.added
     )
     if code == "nothing_missing":
-        runs = discovery.windows_after
-        small = runs is None or bool(np.all(runs.nrmse < _RULES.small))
-        return not small and bool(beyond_noise(runs, discovery.held_out))
+        runs = discovery.windows_after or discovery.after
+        if runs is None or np.all(runs.nrmse < _RULES.small):
+            return False
+        # What is read as noise off a few samples may be motion.
+        lost = bool(np.any(runs.nrmse > _RULES.useless))
+        return lost or bool(beyond_noise(runs, discovery.held_out))
     return code == "unexplained" or (code == "complete" and in_time)
 
 

@@ -164,7 +164,8 @@ def probability_better(first: FreeRuns, second: FreeRuns, margin: float = 0.0) -
         return float(diverges[1])
     falls = [_log_fall(rival_run, run) for run, rival_run in pairs]
     fall = float(np.mean([fall for fall, _ in falls])) - margin
-    influence = np.mean([part for _, part in falls], axis=0)
+    counting = np.any([_block_sums(run)[1] > 0 for run, _ in pairs], axis=(0, 2))
+    influence = np.mean([part for _, part in falls], axis=0)[counting]
     error = max(float(np.std(influence, ddof=1)) / np.sqrt(len(influence)), np.finfo(float).tiny)
     return float(stdtr(len(influence) - 1, fall / error))
 
@@ -172,14 +173,19 @@ def probability_better(first: FreeRuns, second: FreeRuns, margin: float = 0.0) -
 def _log_fall(rival: Validation, trial: Validation) -> tuple[float, Float[np.ndarray, " blocks"]]:
     """Mean logarithm over outputs of an error over another, and what each block has to do with it.
 
-    With S the mean square of an error over the blocks and s that of a block: ½ log(S/S'), and the
-    mean of ½ (s/S - s'/S').
+    With q the squared errors of a block, n their mean number and S the mean square over all blocks:
+    ½ log(S/S'), and the mean of ½ (q/S - q'/S')/n.
     """
     tiny = np.finfo(float).tiny
-    blocks = [_blocks(runs) + tiny for runs in (rival, trial)]
-    means = [np.nanmean(squares, axis=0) for squares in blocks]
-    old, new = (squares / mean for squares, mean in zip(blocks, means, strict=True))
-    return float(np.mean(0.5 * np.log(means[0] / means[1]))), 0.5 * np.nanmean(old - new, axis=1)
+    old, new = _block_sums(rival), _block_sums(trial)
+    squares = [
+        np.sum(sums, axis=0) / np.maximum(np.sum(counts, axis=0), 1.0) + tiny
+        for sums, counts in (old, new)
+    ]
+    falls = 0.5 * np.log(squares[0] / squares[1])
+    usual = np.maximum(np.mean(new[1][np.any(new[1] > 0, axis=1)], axis=0), tiny)
+    parts = 0.5 * (old[0] / squares[0] - new[0] / squares[1]) / usual
+    return float(np.mean(falls)), np.mean(parts, axis=1)
 
 
 def _deviations(rival: Validation | None, trial: Validation | None) -> float:
@@ -198,18 +204,26 @@ def _deviations(rival: Validation | None, trial: Validation | None) -> float:
 
 
 def _blocks(validation: Validation) -> Float[np.ndarray, "blocks ny"]:
-    """Mean squared errors of the blocks of all records; NaN where an output was not measured."""
-    means = []
-    for record, prediction in zip(validation.records, validation.predictions, strict=True):
-        square = (record.outputs - prediction.outputs) ** 2
-        square = np.where(record.output_valid, square, np.nan)
-        for part in np.array_split(square, _RULES.blocks):
-            valid = np.sum(~np.isnan(part), axis=0)
-            if np.any(valid):
-                means.append(
-                    np.where(valid, np.nansum(part, axis=0) / np.maximum(valid, 1), np.nan)
-                )
-    return np.asarray(means)
+    """Mean squared errors of the blocks of all records; NaN where no sample of an output counts."""
+    sums, counts = _block_sums(validation)
+    means = np.where(counts > 0, sums / np.maximum(counts, 1), np.nan)
+    return means[np.any(counts > 0, axis=1)]
+
+
+def _block_sums(
+    validation: Validation,
+) -> tuple[Float[np.ndarray, "blocks ny"], Float[np.ndarray, "blocks ny"]]:
+    """Sums of squared errors, and numbers of samples that count, of the blocks of all records."""
+    sums, counts = [], []
+    runs = zip(validation.records, validation.predictions, validation.scored_at, strict=True)
+    for record, prediction, scored in runs:
+        counted = record.output_valid & scored[:, None]
+        square = np.where(counted, (record.outputs - prediction.outputs) ** 2, 0.0)
+        parts = (np.array_split(values, _RULES.blocks) for values in (square, counted))
+        for errors, counting in zip(*parts, strict=True):
+            sums.append(np.sum(errors, axis=0))
+            counts.append(np.sum(counting, axis=0, dtype=float))
+    return np.asarray(sums), np.asarray(counts)
 
 
 def _standardised(values: Float[np.ndarray, " blocks"]) -> float:

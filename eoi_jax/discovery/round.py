@@ -435,11 +435,11 @@ def _effect_names(effects: Iterable[Placed]) -> str:
 
 def _products(model: Plant, atom: CandidateColumns) -> list[tuple[Placed, tuple[float, ...]]]:
     """The products of signals that can refute an effect, with their shape parameters."""
-    has_states = model.degrees[atom.placed.output] > 0
-    pairs = (("u", "y"), ("u", "v"), ("y", "v")) if has_states else ()
+    degree = min(model.degrees[atom.placed.output], 2)
+    pairs = ((), (("u", "y"), ("y", "y")), (("u", "y"), ("u", "v"), ("y", "v")))[degree]
     terms: list[tuple[AbstractTerm, tuple[float, ...]]] = [(Product(*pair), ()) for pair in pairs]
     if isinstance(atom.placed.effect, SinusoidalDisturbance):
-        factors = ("y", "v", "u") if has_states else ("u",)
+        factors = (("u",), ("y", "u"), ("y", "v", "u"))[degree]
         terms += [(ModulatedSinusoid(signal), atom.shape) for signal in factors]
     location = atom.placed.output, atom.placed.through
     return [(Placed(term, location[0], (), through=location[1]), shape) for term, shape in terms]

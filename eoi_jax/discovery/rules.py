@@ -263,10 +263,13 @@ class QuestionRules:
     Attributes:
         motion: error over the noise that is read off a record, below which that is motion as well.
         small: error over the spread of the output that is not worth a search.
+        useless: the same of a model that a constant is better than, whatever the noise. Set with
+            indomethacin in view.
     """
 
     motion: float = 0.7
     small: float = 0.01
+    useless: float = 1.25
 
 
 @dataclass(frozen=True)

@@ -77,6 +77,8 @@ class Validation(Result):
         records: that it was judged on.
         window: length of the runs [s]; None for whole records.
         in_loop: whether a controller drove the runs by what they simulate.
+        scored_at: which samples of each record are scored, where an output was measured; empty in
+            a result of an earlier version.
     """
 
     rmse: PerOutput
@@ -90,6 +92,7 @@ class Validation(Result):
     records: tuple[Record, ...] = ()
     window: float | None = None
     in_loop: bool = field(default=False, metadata=WHERE_SET)
+    scored_at: tuple[Bool[np.ndarray, " time"], ...] = field(default=(), metadata=WHERE_SET)
 
 
 @runtime_checkable
@@ -288,6 +291,7 @@ def _judged(
         tuple(filter(None, notes)),
         records,
         window,
+        scored_at=prediction.scored,
     )
 
 

@@ -7,8 +7,10 @@ import pytest
 
 import eoi_jax as eoi
 from eoi_jax import effects
+from eoi_jax._status import Status
 from eoi_jax.discovery.in_free_runs import (
     leaves_more,
+    leaves_open,
     unless_refined_is_better,
     with_further_effects,
 )
@@ -88,6 +90,19 @@ def test_a_law_beside_the_answer_is_added(found):
     assert answer.plant.parameters["quadratic_drag"] == pytest.approx(0.2, rel=0.05)
     assert answer.windows_after is not None
     assert answer.windows_after.window == 2.0
+
+
+def test_a_model_that_a_constant_is_better_than_does_not_lack_nothing(found):
+    """What is read as noise off a few samples may be motion."""
+    runs = replace(found.windows_after, rmse=np.array([1e-9]), nrmse=np.array([0.5]))
+    quiet = replace(
+        found, status=Status("nothing_missing", "quiet"), effects=(), added=(), windows_after=None,
+        after=runs,
+    )  # fmt: skip
+    assert not leaves_open(quiet)
+    assert leaves_open(replace(quiet, after=replace(runs, nrmse=np.array([1.3]))))
+    assert leaves_open(replace(quiet, windows_after=replace(runs, nrmse=np.array([1.3]))))
+    assert not leaves_open(replace(quiet, after=None))
 
 
 def test_what_is_questioned(found):

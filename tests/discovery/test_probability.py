@@ -1,11 +1,14 @@
 """How probable an added effect is against its rivals."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scipy.stats import t as student
 
 import eoi_jax as eoi
 from eoi_jax import effects
+from eoi_jax.discovery import judge
 from eoi_jax.discovery.judge import Judged, noise_level, odds, probability_better
 from eoi_jax.discovery.probability import Contest, Standing, from_contests, from_sets
 from eoi_jax.discovery.result import Rival
@@ -45,7 +48,8 @@ def run_with(errors):
     prediction = record(measured + np.minimum(errors, 1e3))
     rmse = np.array([np.sqrt(np.mean(np.square(errors)))])
     return Validation(
-        rmse, rmse, rmse, (prediction,), len(errors), ("position",), ("",), (), (data,)
+        rmse, rmse, rmse, (prediction,), len(errors), ("position",), ("",), (), (data,),
+        scored_at=(np.ones(len(errors), dtype=bool),),
     )  # fmt: skip
 
 
@@ -77,6 +81,21 @@ def test_the_probability_is_student_s_of_the_mean_error_over_blocks():
     assert (probability_better(runs[0], runs[1]) > 0.5) == (runs[0][0].rmse[0] < runs[1][0].rmse[0])
     shifted = student.cdf((fall - 0.2) / error, 9)
     assert probability_better(runs[0], runs[1], 0.2) == pytest.approx(shifted)
+
+
+def test_samples_that_start_a_run_do_not_count():
+    """A start that was fitted is no prediction, and a rare measurement has no part in the rest."""
+    first, second = (runs_with(np.full(10, level)) for level in (0.1, 0.11))
+    at_start = np.zeros(COUNT)
+    at_start[: COUNT // 5] = 5.0
+    worse = run_with(np.repeat(np.full(10, 0.1), COUNT // 10) + at_start)
+    unscored = replace(worse, rmse=first[0].rmse, scored_at=(at_start == 0.0,))
+    assert probability_better(first, second) == 1.0
+    assert probability_better((worse, worse), second) < 0.5
+    assert probability_better((unscored, unscored), second) == 1.0
+    also_there = replace(second[0], scored_at=unscored.scored_at)
+    assert probability_better((unscored, first[1]), (also_there, second[1])) == 1.0
+    assert len(judge._blocks(unscored)) == 8
 
 
 def test_the_probability_is_right_where_models_are_alike():

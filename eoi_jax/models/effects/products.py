@@ -1,12 +1,14 @@
 """Terms outside the library of effects, which discovery uses as alternatives to its answer."""
 
 import math
+from collections import Counter
 from dataclasses import dataclass
 from typing import Any
 
 import jax.numpy as jnp
 
 from eoi_jax.models.effects.effect import AbstractTerm, At, Parameter
+from eoi_jax.models.plant import Plant
 
 
 @dataclass(frozen=True)
@@ -39,8 +41,15 @@ class Product(AbstractTerm):
 
     @property
     def form(self) -> str:
-        """Its signals, as an equation has them."""
-        return "·".join("y'" if signal == "v" else signal for signal in self.factors)
+        """Its signals, as an equation has them: ``y·y'²``."""
+        powers = Counter("y'" if signal == "v" else signal for signal in self.factors)
+        return "·".join(signal + ("", "²", "³")[power - 1] for signal, power in powers.items())
+
+    def fits(self, plant: Plant, output: int) -> bool:
+        """An output of first order has no velocity of its own; powers of a position are springs."""
+        if plant.degrees[output] == 1:
+            return "v" not in self.factors
+        return set(self.factors) != {"y"}
 
     def term(self, at: At, gain: Any, shape: Any) -> Any:
         return math.prod((getattr(at, signal) for signal in self.factors), start=gain[0])

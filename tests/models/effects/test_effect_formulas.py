@@ -67,6 +67,8 @@ CLOSED: dict[AbstractEffect, Callable[..., Any]] = {
     effects.Product("u", "v"): lambda t, y, v, u, z, g, s: g[0] * u * v,
     effects.Product("y", "v"): lambda t, y, v, u, z, g, s: g[0] * y * v,
     effects.Product("u", "y", "y"): lambda t, y, v, u, z, g, s: g[0] * u * y * y,
+    effects.Product("y", "y"): lambda t, y, v, u, z, g, s: g[0] * y * y,
+    effects.Product("y", "y", "y"): lambda t, y, v, u, z, g, s: g[0] * y * y * y,
     effects.Product("y", "v", "v"): lambda t, y, v, u, z, g, s: g[0] * y * v * v,
     effects.DisplacementDamping(): lambda t, y, v, u, z, g, s: -g[0] * y * y * v,
     effects.InputYield(): lambda t, y, v, u, z, g, s: sorted((-s[0], u, s[0]))[1] + s[1] * u,
