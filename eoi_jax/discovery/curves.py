@@ -69,7 +69,7 @@ def with_curves(
         lowpass: F of the fits; None: chosen from the records.
     """
     declared, judging = discovery.declared, discovery.held_out
-    skew, judge = judging[0].skew, Judge.of(judging)
+    skew, judge = judging[0].skew, Judge.of(judging, declared.plant)
     fitted = with_hold(records, judging[0].hold, skew if np.any(skew) else None)
     if judge is None:
         return discovery
@@ -81,7 +81,7 @@ def with_curves(
             return discovery
         if not (beyond_noise(named.runs[1], judging) or _crowded(placed)):
             return discovery
-    search = Search.begun([declared.plant, declared.nominal], fitted, judging)
+    search = Search.begun([declared.plant, declared.nominal], fitted, judge)
     if search is None:
         return discovery
     named = named or search.base

@@ -94,10 +94,13 @@ def search_free_runs(
         is as good.
     """
     tried = [effect for effect in effects if not isinstance(effect, Drift | SinusoidalDisturbance)]
+    judge = Judge.of(variants[0][1], starts[0])
+    if judge is None:
+        return None
     searches = [
         search
         for records, judging in variants
-        if (search := Search.begun(starts, records, judging, present)) is not None
+        if (search := Search.begun(starts, records, replace(judge, records=judging), present))
     ]
     if not searches:
         return None
@@ -157,20 +160,25 @@ class Search:
         cls,
         starts: Sequence[Plant],
         records: tuple[Record, ...],
-        judging: tuple[Record, ...],
+        judge: Judge,
         present: tuple[Placed, ...] = (),
     ) -> "Search | None":
-        """With the best base of each length of runs; None without a fit or with short records."""
-        judge, bases = Judge.of(judging), []
-        if judge is None:
-            return None
+        """With the best base of each length of runs; None without a fit."""
         searched = _portion(records)
-        for window in (None, judge.window):
-            fits = [_fitted(start, present, searched, window, judge) for start in starts]
-            fits = [fit for fit in fits if fit is not None]
-            bases += [min(fits, key=lambda fit: fit.error)] if fits else []
-        ordered = sorted(bases, key=lambda fit: fit.error)
-        return cls(records, searched, judge, tuple(ordered)) if bases else None
+
+        def fitted(judge: Judge) -> list[Judged]:
+            bases = []
+            for window in (judge.longest, judge.window):
+                fits = [_fitted(start, present, searched, window, judge) for start in starts]
+                fits = [fit for fit in fits if fit is not None]
+                bases += [min(fits, key=lambda fit: fit.error)] if fits else []
+            return sorted(bases, key=lambda fit: fit.error)
+
+        bases = fitted(judge)
+        if judge.longest is None and bases and all(judge.is_lost(fit.runs) for fit in bases):
+            judge = judge.without_whole_runs()
+            bases = fitted(judge)
+        return cls(records, searched, judge, tuple(bases)) if bases else None
 
     def answer(self, best: Judged, start: Plant) -> FreeRunAnswer:
         """What the search came to, from this declared model."""
@@ -188,7 +196,7 @@ class Search:
         """
         if self.judge.is_same(mean_error(self.judge.runs(start)), base.error):
             return False
-        judge = Judge.of((*self.searched, *self.judge.records)) or self.judge
+        judge = Judge.of((*self.searched, *self.judge.records), start) or self.judge
         return not judge.prefers(judge.runs(start), judge.runs(base.refinement.plant))
 
     def further(self, model: Judged) -> tuple[Placed, ...]:
@@ -290,13 +298,13 @@ def exchanged_ratio(answer: FreeRunAnswer) -> float:
     Both models are refined on the records that judged, and judged on those of the fit, or on the
     beginning of long ones: a few records that move slowly may prefer either by chance.
     """
-    judge = Judge.of(_portion(answer.records))
+    judge = Judge.of(_portion(answer.records), answer.base.refinement.plant)
     if judge is None:
         return np.inf
     models = [
         [
             fit
-            for window in (None, judge.window)
+            for window in (judge.longest, judge.window)
             if (fit := _fitted(model.refinement.plant, model.placed, answer.judging, window, judge))
         ]
         for model in (answer.base, answer.best)
@@ -320,7 +328,7 @@ def refined(
     """
     fits = [
         fit
-        for window in (None, judge.window)
+        for window in (judge.longest, judge.window)
         if (fit := _fitted(plant, placed, records, window, judge)) is not None
         and fit.refinement.status.ok
     ]

@@ -27,7 +27,7 @@ from eoi_jax.discovery.free_run_search import (
     refined,
     search_free_runs,
 )
-from eoi_jax.discovery.judge import Judged, mean_error
+from eoi_jax.discovery.judge import Judge, Judged, mean_error
 from eoi_jax.discovery.probability import Standing, from_contests
 from eoi_jax.discovery.refit import on_bounds
 from eoi_jax.discovery.remarks import FitNote, GridNote, HoldNote, Reason, is_on_fit
@@ -159,10 +159,11 @@ def unless_refined_is_better(discovery: Discovery, records: tuple[Record, ...]) 
     """
     declared, judging = discovery.declared, discovery.held_out
     fitted = with_hold(records, judging[0].hold, judging[0].skew)
-    search = Search.begun([declared.plant, declared.nominal], fitted, judging)
-    if search is None:
+    judge = Judge.of(judging, declared.plant)
+    search = judge and Search.begun([declared.plant, declared.nominal], fitted, judge)
+    if judge is None or search is None:
         return discovery
-    judge, placed = search.judge, placed_effects(discovery)
+    placed = placed_effects(discovery)
     named = refined(discovery.plant, placed, fitted, judge)
     runs = [judge.runs(discovery.plant)] + ([named.runs] if named else [])
     plain, rival = search.base.runs, min(runs, key=mean_error)
@@ -233,7 +234,7 @@ def with_further_effects(
     notes.append(_FURTHER.format(labels_of(further), ratio) if further else _BETTER)
     return replace(
         discovery, effects=names_of(model.placed), added=added,
-        after=judged_runs(fit.plant, answer.judging),
+        after=judged_runs(fit.plant, answer.judging, window=answer.best.runs[0].window),
         windows_after=judged_runs(fit.plant, answer.judging, window=windows.window),
         found=fit, plant=fit.plant, held_out=answer.judging,
         notes=(*notes, *_portion_note(answer), *on_bounds(discovery.declared.nominal, fit.plant),

@@ -6,7 +6,7 @@ blocks, less one, gives the probability of it.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -17,6 +17,7 @@ from eoi_jax.discovery.rules import RULES
 from eoi_jax.models.augmented import Placed
 from eoi_jax.models.plant import Plant
 from eoi_jax.refinement.result import Refinement
+from eoi_jax.simulation.error_growth import error_growth, is_lost, window_head
 from eoi_jax.simulation.validate import FreeRuns, Validation, judged_runs
 
 _RULES = RULES.judge
@@ -50,27 +51,58 @@ class Judge:
         records: that no fit has seen.
         window: length of short runs [s]. head: samples at the start of each, not scored.
         whole_head: the same of whole runs.
+        longest: length of the long runs [s]; None: whole records.
     """
 
     records: tuple[Record, ...]
     window: float
     head: int
     whole_head: int
+    longest: float | None = None
 
     @classmethod
-    def of(cls, records: tuple[Record, ...]) -> "Judge | None":
-        """None where the records are too short for windows."""
+    def of(cls, records: tuple[Record, ...], plant: Plant) -> "Judge | None":
+        """The judge of a model and of what is added to it; None with records too short for windows.
+
+        Of an unstable plant a whole run says nothing where it misses by much: the error of its
+        start grows. Windows in which it stays small are then the long runs.
+
+        Args:
+            records: that judge.
+            plant: the declared model, fitted.
+        """
         shortest = min(len(record) for record in records)
         count = max(shortest // _RULES.blocks, _RULES.min_window)
         if 2 * count > shortest:
             return None
         heads = (min(_RULES.start, count // 3), min(_RULES.start, shortest // _RULES.blocks + 3))
-        return cls(records, count * records[0].sample_period, *heads)
+        judge = cls(records, count * records[0].sample_period, *heads)
+        good = np.all(judged_runs(plant, records, judge.whole_head).nrmse < _RULES.misled)
+        if good or plant.sampled is not None:
+            return judge
+        growth = error_growth(plant, records)
+        if not (growth.growing and growth.cuts(records)):
+            return judge
+        period = records[0].sample_period
+        longest = max(growth.window, 2.0 * _RULES.min_window * period)
+        count = min(count, round(0.5 * longest / period))
+        return cls(
+            records, count * period, min(_RULES.start, count // 3),
+            window_head(longest, plant, records), longest,
+        )  # fmt: skip
+
+    def without_whole_runs(self) -> "Judge":
+        """A judge by two lengths of windows, for models of which whole runs say nothing."""
+        return replace(self, longest=2.0 * self.window, whole_head=self.head)
+
+    def is_lost(self, runs: FreeRuns) -> bool:
+        """Whether whole free runs say nothing of some output: a constant would predict better."""
+        return is_lost(runs[0].nrmse, np.ones_like(runs[0].nrmse))
 
     def runs(self, plant: Plant) -> FreeRuns:
-        """Free runs of a model."""
+        """Free runs of a model: long ones, and short ones."""
         return (
-            judged_runs(plant, self.records, self.whole_head),
+            judged_runs(plant, self.records, self.whole_head, self.longest),
             judged_runs(plant, self.records, self.head, self.window),
         )
 

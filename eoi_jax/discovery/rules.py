@@ -232,6 +232,9 @@ class JudgeRules:
     blocks: int = 10  # of each record; as many windows
     start: int = 50  # samples that give the state of a run, at most; a third of a short run
     min_window: int = 12  # samples
+    # Error of a whole run over the spread, from which on it says nothing of a plant in which errors
+    # of a start grow. Set with dfki_simple_pendulum in view.
+    misled: float = 0.1
     largest_error: float = 1e3  # over the standard deviation of the output: of what diverges
 
 

@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 
+import jax.numpy as jnp
 import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
@@ -15,6 +16,7 @@ from eoi_jax.discovery.judge import Judge, _standardised
 from eoi_jax.models.augmented import augmented, place
 from eoi_jax.refinement.refine import refine_once
 from eoi_jax.refinement.remaining import remaining
+from eoi_jax.simulation.validate import validate
 
 PERIOD, COUNT = 2.0, 600
 NOISE = 0.02
@@ -185,7 +187,9 @@ def drifting(seed, count, gain):
 def test_a_few_held_out_samples_that_drift_do_not_choose_between_fits_of_one_model():
     """The lamp ages between the records: one fit is right for the first one, one for the second."""
     records, judging = (drifting(1, 400, 0.4),), (drifting(2, 60, 0.41),)
-    search = Search.begun([PLATE], records, judging)
+    judge = Judge.of(judging, PLATE)
+    assert judge is not None
+    search = Search.begun([PLATE], records, judge)
     assert search is not None
     aged = PLATE.with_parameters({**search.base.refinement.parameters, "k": 0.41})
     assert search.judge.prefers(search.judge.runs(aged), search.base.runs)
@@ -231,10 +235,62 @@ def test_the_parts_are_not_exchanged_where_the_records_of_the_fit_are_too_short(
     assert free_run_search.exchanged_ratio(replace(answer, records=short)) == np.inf
 
 
+def upright(seed, count=1500, period=0.01, gain=1.0):
+    """A pendulum that a controller keeps upright, by SciPy; the recorded torque drives it."""
+    random = np.random.default_rng(seed)
+    command = np.repeat(random.uniform(-0.3, 0.3, count // 50), 50)
+    x, states, torques = np.zeros(2), [], []
+    for target in command:
+        torque = -40.0 * (x[0] - target) - 12.0 * x[1]
+        states.append(x[0])
+        torques.append(torque)
+        run = solve_ivp(lambda t, x, u: [x[1], 9.0 * np.sin(x[0]) + gain * u], (0.0, period), x,
+                        args=(torque,), rtol=1e-8)  # fmt: skip
+        x = run.y[:, -1]
+    noise = 1e-3 * random.standard_normal(count)
+    return eoi.Record.from_period(period, np.array(torques), np.array(states) + noise, hold="zero")
+
+
+UPRIGHT = eoi.Plant(lambda t, x, u, p: p.a * jnp.sin(x.y[0]) + p.b * u, {"a": 9.0, "b": 1.0}, 2)
+
+
+def test_of_a_plant_that_is_unstable_windows_judge_where_whole_runs_are_lost():
+    """With a gain 2 % off the whole run falls over; over 4 time constants of 1/3 s it does not."""
+    record = upright(1, 600)
+    off = UPRIGHT.with_parameters({"b": 1.02})
+    judge = Judge.of((record,), off)
+    assert judge is not None
+    assert judge.longest is not None
+    assert judge.window == pytest.approx(0.5 * judge.longest, abs=0.01)
+    assert judge.longest <= 4.0 / 3.0
+    assert judge.is_lost((validate(off, record, window=np.inf), None))
+    assert np.all([run.nrmse < 0.3 for run in judge.runs(off)])
+    stable = Judge.of((measured(1),), PLATE)
+    assert stable is not None
+    assert stable.longest is None
+
+
+def test_a_base_that_is_lost_over_whole_records_is_judged_in_windows():
+    """An integrator that something unknown drives, too: no parameter keeps it near the record."""
+    time = 0.1 * np.arange(600)
+    force = np.sin(time)
+    drifting_away = 3.0 * (1.0 - np.cos(0.08 * time)) + (time - np.sin(time))
+    plant = eoi.Plant(lambda t, x, u, p: p.b * u, {"b": 1.0}, 2)
+    record = eoi.Record(time, force, drifting_away, hold="linear")
+    held = eoi.Record(time, force, (time - np.sin(time)) - 20.0 * np.sin(0.1 * time), hold="linear")
+    judge = Judge.of((held,), plant)
+    assert judge is not None
+    search = Search.begun([plant], (record,), judge)
+    assert search is not None
+    assert (search.judge.longest is not None) == all(
+        judge.is_lost(judge.runs(base.refinement.plant)) for base in search.bases
+    )
+
+
 def test_records_too_short_for_windows_are_not_judged():
     record = measured(1)
     short = eoi.Record(record.time[:20], record.inputs[:20], record.outputs[:20], hold="zero")
-    assert Judge.of((short,)) is None
+    assert Judge.of((short,), PLATE) is None
     assert search_free_runs([PLATE], [((record,), (short,))], [effects.ConstantOffset()]) is None
 
 
