@@ -24,7 +24,8 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 import eoi_jax as eoi
 from benchmarks.common import Report, data_directory, table
 from benchmarks.measured.campaign_cases import RIGS, Errors, Rig
-from benchmarks.measured.found_cases import FOUND, sets_directory
+from benchmarks.measured.found_cases import FOUND
+from benchmarks.measured.found_sets import sets_directory
 
 _START = 50  # samples that give the initial state, not scored; a third of shorter runs
 _SERVED = 1.15  # of the expert's error, geometric mean of whole runs and windows

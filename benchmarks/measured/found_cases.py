@@ -1,18 +1,14 @@
-"""Public measured sets, fitted by hand before discovery saw them: where they are, models, errors.
+"""Public measured sets, fitted by hand before discovery saw them: models, errors.
 
-The files are not part of the repository. Each set is a folder of CSV files, with the columns that
-its case names, in the folder that EOI_SETS names (by default `sets` beside the repository); its
-README has the hand fits. Figures are those of `campaign_cases`: root mean squares of whole free
-runs and of runs that start again ten times a record, on the part that chose nothing.
+The files are not part of the repository (`found_sets`). Figures are those of `campaign_cases`: root
+mean squares of whole free runs and of runs that start again ten times a record, on the part that
+chose nothing.
 
-Six of the thirteen cases are set aside (`aside`), to be opened once, at the end. They were drawn by
-`random.Random(20261127).sample(sorted(FOUND), 6)`.
+Six of the thirteen cases are set aside (`aside`), to be opened once, at the end. They were
+drawn by `random.Random(20261127).sample(sorted(FOUND), 6)`.
 """
 
-import os
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
-from itertools import pairwise
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -21,75 +17,15 @@ import numpy as np
 from scipy.signal import savgol_filter
 
 import eoi_jax as eoi
-from benchmarks.common import ROOT
-from benchmarks.measured.campaign_cases import Parts, Rig
-
-Rows = tuple[int, int]  # first row, and the one behind the last
-
-
-@dataclass(frozen=True)
-class FoundSet:
-    """A case, and where its set can be had.
-
-    Attributes:
-        rig: declared model, records and errors of the hand fits, from the folder of the sets.
-        source: what it is, and its public address.
-        aside: not to be opened before the end.
-    """
-
-    rig: Callable[[Path], Rig]
-    source: str
-    aside: bool = False
-
-
-def sets_directory() -> Path:
-    """Folder of the found sets: $EOI_SETS, else beside the repository."""
-    return Path(os.environ.get("EOI_SETS") or ROOT.parent / "sets")
-
-
-def _table(path: Path) -> Mapping[str, np.ndarray]:
-    """Columns by name; empty cells are NaN."""
-    data = np.genfromtxt(path, delimiter=",", names=True)
-    return {name: data[name] for name in data.dtype.names or ()}
-
-
-def _records(
-    plant: eoi.Plant,
-    table: Mapping[str, np.ndarray],
-    parts: Sequence[Sequence[Rows]],
-    time_unit: float = 1.0,
-) -> Parts:
-    """Rows of a table as records of three parts; channels are columns with the plant's names."""
-
-    def record(rows: Rows) -> eoi.Record:
-        cut = slice(*rows)
-        inputs, outputs = (
-            np.stack([table[name][cut] for name in names], 1) if names else np.zeros((time.size, 0))
-            for time in (table["time"][cut],)
-            for names in (plant.inputs, plant.outputs)
-        )
-        return eoi.Record(
-            table["time"][cut] / time_unit, inputs, outputs, f"rows {rows[0]} to {rows[1]}",
-            input_names=plant.inputs, output_names=plant.outputs,
-            units={name: plant.units[name] for name in (*plant.inputs, *plant.outputs)},
-        )  # fmt: skip
-
-    first, second, third = (tuple(record(rows) for rows in part) for part in parts)
-    return first, second, third
-
-
-def _quarters(count: int, first: int = 0) -> tuple[tuple[Rows], tuple[Rows], tuple[Rows]]:
-    """A half to estimate, a quarter held out, a quarter untouched."""
-    cuts = [first + int((count - first) * share) for share in (0.0, 0.5, 0.75, 1.0)]
-    first_half, third, fourth = pairwise(cuts)
-    return (first_half,), (third,), (fourth,)
+from benchmarks.measured.campaign_cases import Rig
+from benchmarks.measured.found_sets import FoundSet, quarters, records, table
 
 
 def motor_generator(folder: Path) -> Rig:
     """Two coupled DC motors: first order from the voltage to the speed. Every 50th sample."""
-    table = _table(folder / "motor_generator/motor_generator.csv")
-    table = {"time": table["sample"], "voltage": table["voltage"], "speed": table["speed"]}
-    table = {name: column[::50] for name, column in table.items()}
+    columns = table(folder / "motor_generator/motor_generator.csv")
+    columns = {"time": columns["sample"], "voltage": columns["voltage"], "speed": columns["speed"]}
+    columns = {name: column[::50] for name, column in columns.items()}
 
     def motor(t: Any, x: eoi.State, u: Any, p: Any) -> Any:
         del t
@@ -101,7 +37,7 @@ def motor_generator(folder: Path) -> Rig:
         units={"voltage": "V", "speed": "1/min", "gain": "1/min/V"},
     )  # fmt: skip
     return Rig(
-        plant, _records(plant, table, _quarters(10000), 1000.0),
+        plant, records(plant, columns, quarters(10000), 1000.0),
         {"speed": (1138.0, 906.0)}, {"speed": (77.0, 75.6)},
         ("product", "actuator_lag", "coulomb_friction"), "1/min",
         remark="time in thousands of samples: the sampling rate is not published",
@@ -110,7 +46,7 @@ def motor_generator(folder: Path) -> Rig:
 
 def building_hourly(folder: Path) -> Rig:
     """One heat store, losses to the outdoor air; a month of hours."""
-    table = _table(folder / "building_hourly/building_hourly.csv")
+    columns = table(folder / "building_hourly/building_hourly.csv")
 
     def building(t: Any, x: eoi.State, u: Any, p: Any) -> Any:
         del t
@@ -122,7 +58,7 @@ def building_hourly(folder: Path) -> Rig:
         units={"heating": "kW", "ambient": "K", "indoor": "K", "tau": "h", "heat": "K/h/kW"},
     )  # fmt: skip
     return Rig(
-        plant, _records(plant, table, _quarters(792), 3600.0),
+        plant, records(plant, columns, quarters(792), 3600.0),
         {"indoor": (0.710, 0.700)}, {"indoor": (0.254, 0.594)}, ("second_node",), "K",
         remark="time in hours",
     )  # fmt: skip
@@ -149,8 +85,8 @@ def _collector_plant(nominal: Mapping[str, float], flow: str, temperature: str) 
 
 def solar_array_graz(folder: Path) -> Rig:
     """Flat collectors as one well mixed volume, while the pump runs; eight days of May."""
-    table = dict(_table(folder / "solar_array_graz/solar_array_graz.csv"))
-    table["flow"] = 1000.0 * table["flow"]
+    columns = dict(table(folder / "solar_array_graz/solar_array_graz.csv"))
+    columns["flow"] = 1000.0 * columns["flow"]
     plant = _collector_plant({"gain": 0.008, "exchange": 0.08, "loss": 0.03}, "l/s", "K")
     parts = (
         ((1893, 2415), (10598, 11081), (16305, 16828)),
@@ -158,7 +94,7 @@ def solar_array_graz(folder: Path) -> Rig:
         ((36480, 37043), (39298, 39926), (40746, 41368)),
     )
     return Rig(
-        plant, _records(plant, table, parts, 60.0),
+        plant, records(plant, columns, parts, 60.0),
         {"outlet": (1.61, 2.24)}, {"outlet": (1.61, 2.24)}, (), "K",
         remark="time in minutes; cells in series improve the estimation part only",
     )  # fmt: skip
@@ -166,7 +102,7 @@ def solar_array_graz(folder: Path) -> Rig:
 
 def solar_field_condat(folder: Path) -> Rig:
     """Tracking collectors as one well mixed volume, while the pump runs; eight days of May."""
-    table = _table(folder / "solar_field_condat/solar_field_condat.csv")
+    columns = table(folder / "solar_field_condat/solar_field_condat.csv")
     plant = _collector_plant({"gain": 0.003, "exchange": 0.001, "loss": 0.008}, "m³/h", "°C")
     parts = (
         ((20556, 21302), (24859, 25437), (30567, 31402)),
@@ -174,7 +110,7 @@ def solar_field_condat(folder: Path) -> Rig:
         ((40598, 41345), (42037, 42918), (43474, 44232)),
     )
     return Rig(
-        plant, _records(plant, table, parts, 60.0),
+        plant, records(plant, columns, parts, 60.0),
         {"outlet": (6.86, 7.96)}, {"outlet": (5.99, 6.69)}, (), "K",
         remark="time in minutes; cells in series and a pipe behind them are doubtful",
     )  # fmt: skip
@@ -182,7 +118,7 @@ def solar_field_condat(folder: Path) -> Rig:
 
 def catchment_fulda(folder: Path) -> Rig:
     """A linear reservoir from the rain to the discharge; ten years of days."""
-    table = _table(folder / "catchment_fulda/catchment_fulda.csv")
+    columns = table(folder / "catchment_fulda/catchment_fulda.csv")
 
     def reservoir(t: Any, x: eoi.State, u: Any, p: Any) -> Any:
         del t
@@ -194,7 +130,7 @@ def catchment_fulda(folder: Path) -> Rig:
         units={"rain": "mm/d", "temperature": "°C", "discharge": "m³/s", "tau": "d"},
     )  # fmt: skip
     return Rig(
-        plant, _records(plant, table, _quarters(3653)),
+        plant, records(plant, columns, quarters(3653)),
         {"discharge": (28.6, 29.4)}, {"discharge": (13.4, 13.4)},
         ("moisture of the soil times rain|product", "snow"), "m³/s", remark="time in days",
     )  # fmt: skip
@@ -202,7 +138,7 @@ def catchment_fulda(folder: Path) -> Rig:
 
 def catchment_small(folder: Path) -> Rig:
     """A linear reservoir from rain less evaporation to the discharge; four years of days."""
-    table = _table(folder / "catchment_small/catchment_small.csv")
+    columns = table(folder / "catchment_small/catchment_small.csv")
 
     def reservoir(t: Any, x: eoi.State, u: Any, p: Any) -> Any:
         del t
@@ -214,7 +150,7 @@ def catchment_small(folder: Path) -> Rig:
         units={"rain": "mm/d", "evaporation": "mm/d", "discharge": "l/s", "tau": "d"},
     )  # fmt: skip
     return Rig(
-        plant, _records(plant, table, _quarters(1827, first=366)),
+        plant, records(plant, columns, quarters(1827, first=366)),
         {"discharge": (10.7, 11.2)}, {"discharge": (6.55, 7.53)},
         ("moisture of the soil times rain|product",), "l/s", remark="time in days",
     )  # fmt: skip
@@ -222,8 +158,8 @@ def catchment_small(folder: Path) -> Rig:
 
 def soil_moisture(folder: Path) -> Rig:
     """Water in the upper 10 cm: rain in, drainage and evaporation out; three years of hours."""
-    table = dict(_table(folder / "soil_moisture/soil_moisture.csv"))
-    table["moisture"] = 100.0 * table["moisture_10cm"]
+    columns = dict(table(folder / "soil_moisture/soil_moisture.csv"))
+    columns["moisture"] = 100.0 * columns["moisture_10cm"]
 
     def soil(t: Any, x: eoi.State, u: Any, p: Any) -> Any:
         del t
@@ -236,7 +172,7 @@ def soil_moisture(folder: Path) -> Rig:
         units={"rain": "mm/d", "radiation": "W/m²", "moisture": "%", "rest": "%"},
     )  # fmt: skip
     return Rig(
-        plant, _records(plant, table, _quarters(26304)),
+        plant, records(plant, columns, quarters(26304)),
         {"moisture": (2.08, 1.89)}, {"moisture": (1.85, 1.56)}, (), "%",
         remark="time in hours; that full soil takes no more rain is doubtful",
     )  # fmt: skip
@@ -244,7 +180,7 @@ def soil_moisture(folder: Path) -> Rig:
 
 def cycling_ride_heart(folder: Path) -> Rig:
     """Heart rate of a rider, first order from the power at the pedals."""
-    table = _table(folder / "cycling_ride/cycling_ride.csv")
+    columns = table(folder / "cycling_ride/cycling_ride.csv")
 
     def heart(t: Any, x: eoi.State, u: Any, p: Any) -> Any:
         del t
@@ -256,7 +192,7 @@ def cycling_ride_heart(folder: Path) -> Rig:
         units={"power": "W", "heart_rate": "1/min", "tau": "s", "rest": "1/min"},
     )  # fmt: skip
     return Rig(
-        plant, _records(plant, table, _quarters(8357)),
+        plant, records(plant, columns, quarters(8357)),
         {"heart_rate": (7.17, 6.47)}, {"heart_rate": (5.30, 4.55)}, (), "1/min",
         remark="faster up than down, with a curve of the power: likely, not certain",
     )  # fmt: skip
@@ -264,9 +200,9 @@ def cycling_ride_heart(folder: Path) -> Rig:
 
 def cycling_ride_speed(folder: Path) -> Rig:
     """Speed of a bicycle from power and slope, with rolling resistance; where the rider pedals."""
-    table = dict(_table(folder / "cycling_ride/cycling_ride.csv"))
-    climb, way = (savgol_filter(table[name], 31, 2, deriv=1) for name in ("altitude", "distance"))
-    table["slope"] = np.clip(np.asarray(climb) / np.maximum(np.asarray(way), 1.0), -0.15, 0.15)
+    columns = dict(table(folder / "cycling_ride/cycling_ride.csv"))
+    climb, way = (savgol_filter(columns[name], 31, 2, deriv=1) for name in ("altitude", "distance"))
+    columns["slope"] = np.clip(np.asarray(climb) / np.maximum(np.asarray(way), 1.0), -0.15, 0.15)
 
     def bicycle(t: Any, x: eoi.State, u: Any, p: Any) -> Any:
         del t
@@ -280,7 +216,7 @@ def cycling_ride_speed(folder: Path) -> Rig:
     )  # fmt: skip
     parts = (((257, 2121), (2870, 4209)), ((4550, 5987),), ((6341, 7138), (7527, 8107)))
     return Rig(
-        plant, _records(plant, table, parts),
+        plant, records(plant, columns, parts),
         {"speed": (0.681, 0.728)}, {"speed": (0.469, 0.524)},
         ("quadratic_drag|viscous_friction",), "m/s",
     )  # fmt: skip
@@ -288,7 +224,7 @@ def cycling_ride_speed(folder: Path) -> Rig:
 
 def global_temperature(folder: Path) -> Rig:
     """Energy balance of the Earth with one heat capacity; 139 years."""
-    table = _table(folder / "global_temperature/global_temperature.csv")
+    columns = table(folder / "global_temperature/global_temperature.csv")
 
     def earth(t: Any, x: eoi.State, u: Any, p: Any) -> Any:
         del t
@@ -301,7 +237,7 @@ def global_temperature(folder: Path) -> Rig:
                "feedback": "W/m²/K", "zero": "K"},
     )  # fmt: skip
     return Rig(
-        plant, _records(plant, table, (((0, 90),), ((90, 115),), ((115, 139),))),
+        plant, records(plant, columns, (((0, 90),), ((90, 115),), ((115, 139),))),
         {"temperature": (0.0875, 0.0875)}, {"temperature": (0.0875, 0.0875)}, (), "K", windows=1,
         remark="time in years; too short for windows",
     )  # fmt: skip
@@ -320,10 +256,10 @@ def indomethacin(folder: Path) -> Rig:
     )  # fmt: skip
 
     def person(number: int) -> eoi.Record:
-        table = _table(folder / f"indomethacin/subject_{number}.csv")
-        places = np.rint(table["time"] / 0.25).astype(int) - 1
+        columns = table(folder / f"indomethacin/subject_{number}.csv")
+        places = np.rint(columns["time"] / 0.25).astype(int) - 1
         concentration = np.full(places[-1] + 1, np.nan)
-        concentration[places] = table["concentration"]
+        concentration[places] = columns["concentration"]
         time = 0.25 * np.arange(1, len(concentration) + 1)
         return eoi.Record(
             time, np.zeros((len(time), 0)), concentration, f"person {number}",
@@ -341,7 +277,7 @@ def indomethacin(folder: Path) -> Rig:
 
 def fork_pendulum(folder: Path) -> Rig:
     """A bicycle's fork swings as a pendulum; the output is that of a rate gyro."""
-    table = _table(folder / "fork_pendulum/fork_pendulum.csv")
+    columns = table(folder / "fork_pendulum/fork_pendulum.csv")
 
     def fork(t: Any, x: eoi.State, u: Any, p: Any) -> Any:
         del t, u
@@ -353,7 +289,7 @@ def fork_pendulum(folder: Path) -> Rig:
         units={"rate": "V", "stiffness": "1/s²", "damping": "1/s", "zero": "V"},
     )  # fmt: skip
     return Rig(
-        plant, _records(plant, table, _quarters(30000)),
+        plant, records(plant, columns, quarters(30000)),
         {"rate": (29.1, 22.0)}, {"rate": (29.1, 22.0)}, (), "mV", 1e3,
         remark="a softer spring helps one part, another damping the other: nothing is certain",
     )  # fmt: skip
@@ -361,7 +297,7 @@ def fork_pendulum(folder: Path) -> Rig:
 
 def coin_cell(folder: Path) -> Rig:
     """A lithium coin cell in pulses: a capacitor; the ohmic drop is taken off the output."""
-    table = _table(folder / "coin_cell/coin_cell.csv")
+    columns = table(folder / "coin_cell/coin_cell.csv")
 
     def cell(t: Any, x: eoi.State, u: Any, p: Any) -> Any:
         del t, x
@@ -376,7 +312,7 @@ def coin_cell(folder: Path) -> Rig:
     def pulses(number: int) -> eoi.Record:
         """Pulses of a cycle, every 0.1 s; of two samples 1 ms apart, at a jump, the later one."""
         rows = slice(830 + 1674 * number, 2036 + 1674 * number)
-        time, current, voltage = (table[name][rows] for name in ("time", "current", "voltage"))
+        time, current, voltage = (columns[name][rows] for name in ("time", "current", "voltage"))
         kept = np.append(np.diff(time) > 0.05, True)
         current = current[kept]
         less_drop = 1e3 * (voltage[kept] - 0.018 * current)
