@@ -2,10 +2,10 @@
 
 The files are not part of the repository (`found_sets`). Figures are those of `campaign_cases`: root
 mean squares of whole free runs and of runs that start again ten times a record, on the part that
-chose nothing.
+chose nothing. Eight more, of short records, stand in `found_short_cases`.
 
-Six of the thirteen cases are set aside (`aside`), to be opened once, at the end. They were
-drawn by `random.Random(20261127).sample(sorted(FOUND), 6)`.
+Six of the first thirteen cases are set aside (`aside`), to be opened once, at the end. They were
+drawn by `random.Random(20261127).sample(sorted(FIRST), 6)`.
 """
 
 from collections.abc import Mapping
@@ -19,6 +19,7 @@ from scipy.signal import savgol_filter
 import eoi_jax as eoi
 from benchmarks.measured.campaign_cases import Rig
 from benchmarks.measured.found_sets import FoundSet, quarters, records, table
+from benchmarks.measured.found_short_cases import SHORT
 
 
 def motor_generator(folder: Path) -> Rig:
@@ -333,7 +334,7 @@ _SPOTPY = "Copied from the examples of spotpy: https://github.com/thouska/spotpy
 _SUNPEEK = "Sample of SunPeek, https://gitlab.com/sunpeek/sunpeek"
 _RIDE = "Ride 4078723797 of the examples of sweat: https://github.com/GoldenCheetah/sweatpy"
 
-FOUND: Mapping[str, FoundSet] = {
+FIRST: Mapping[str, FoundSet] = {
     "motor_generator": FoundSet(
         motor_generator,
         "Lacerda and others, identification of a DC motor and generator (in Portuguese), "
@@ -390,3 +391,4 @@ FOUND: Mapping[str, FoundSet] = {
         "BrowserForkCompoundFirst1.mat of https://github.com/moorepants/BicycleParameters (tests)",
     ),
 }
+FOUND: Mapping[str, FoundSet] = {**FIRST, **SHORT}
