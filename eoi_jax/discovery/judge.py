@@ -64,15 +64,17 @@ class Judge:
     def of(cls, records: tuple[Record, ...], plant: Plant) -> "Judge | None":
         """The judge of a model and of what is added to it; None with records too short for windows.
 
-        Of an unstable plant a whole run says nothing where it misses by much: the error of its
-        start grows. Windows in which it stays small are then the long runs.
+        Windows are long enough for motion beyond the noise. Of an unstable plant a whole run says
+        nothing where it misses by much: the error of its start grows. Windows in which it stays
+        small are then the long runs.
 
         Args:
             records: that judge.
             plant: the declared model, fitted.
         """
         shortest = min(len(record) for record in records)
-        count = max(shortest // _RULES.blocks, _RULES.min_window)
+        moving = [parts for parts in _RULES.windows if _moves(records, shortest // parts)]
+        count = max(shortest // max(moving, default=min(_RULES.windows)), _RULES.min_window)
         if 2 * count > shortest:
             return None
         heads = (min(_RULES.start, count // 3), min(_RULES.start, shortest // _RULES.blocks + 3))
@@ -140,6 +142,20 @@ class Judge:
         lowest = min(weighed(trial) for trial in trials)
         as_good = [trial for trial in trials if weighed(trial) < lowest + _RULES.min_fall]
         return min(as_good, key=lambda trial: (len(trial.placed), weighed(trial)))
+
+
+def _moves(records: Sequence[Record], count: int) -> bool:
+    """Whether outputs move by more than their noise in windows of so many samples."""
+    for record in records:
+        outputs = np.where(record.output_valid, record.outputs, np.nan)
+        windows = [outputs[at : at + count] for at in range(0, len(outputs) - count + 1, count)]
+        measured = [part for part in windows if np.all(np.any(np.isfinite(part), axis=0))]
+        if not measured:
+            return False
+        spread = np.sqrt(np.mean([np.nanvar(part, axis=0) for part in measured], axis=0))
+        if np.any(spread < _RULES.motion * record.noise):
+            return False
+    return True
 
 
 def mean_error(runs: FreeRuns) -> float:

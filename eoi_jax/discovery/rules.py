@@ -229,7 +229,10 @@ class JudgeRules:
     min_fall: float = 0.03
     min_deviations: float = 2.0  # of the paired difference over blocks, in its standard errors
     same_error: float = 0.01  # difference of mean errors that counts as none
-    blocks: int = 10  # of each record; as many windows
+    blocks: int = 10  # of each record, whose errors are compared in pairs
+    # Windows of a record: as many as leave motion in them. Set with car_coast_down in view.
+    windows: tuple[int, ...] = (10, 5, 3)
+    motion: float = 3.0  # spread of an output in a window over its noise, at least
     start: int = 50  # samples that give the state of a run, at most; a third of a short run
     min_window: int = 12  # samples
     # Error of a whole run over the spread, from which on it says nothing of a plant in which errors

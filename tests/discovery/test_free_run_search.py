@@ -270,6 +270,17 @@ def test_of_a_plant_that_is_unstable_windows_judge_where_whole_runs_are_lost():
     assert stable.longest is None
 
 
+@pytest.mark.parametrize(("noise", "windows"), [(0.05, 10), (0.4, 5), (0.8, 3), (5.0, 3)])
+def test_windows_are_as_short_as_leaves_motion_in_them(noise, windows):
+    """A ramp of 20 over the record: in one of n windows its standard deviation is 20/n/√12."""
+    time = np.arange(300.0)
+    outputs = 20.0 * time / 300.0 + noise * np.random.default_rng(0).standard_normal(300)
+    judge = Judge.of((eoi.Record.from_period(1.0, 0.0 * time, outputs, hold="zero"),), PLATE)
+    assert judge is not None
+    assert judge.window == 300 // windows
+    assert judge.head == min(50, 100 // windows)
+
+
 def test_a_base_that_is_lost_over_whole_records_is_judged_in_windows():
     """An integrator that something unknown drives, too: no parameter keeps it near the record."""
     time = 0.1 * np.arange(600)
