@@ -48,7 +48,7 @@ from eoi_jax.models.effects import (
 )
 from eoi_jax.models.effects.effect import AbstractEffect
 from eoi_jax.models.plant import Plant
-from eoi_jax.simulation.validate import judged_runs
+from eoi_jax.simulation.validate import whole_and_windows
 
 _RULES = RULES.questions
 
@@ -227,16 +227,17 @@ def with_further_effects(
         if not answer.better_base:
             return replace(discovery, notes=(*discovery.notes, *hints))
     fit = _fit_of(discovery, answer, model, lowpass)
-    windows, added = discovery.windows_after, _added(discovery, answer, fit, model)
+    before, windows = discovery.before, discovery.windows_after
+    assert before is not None
     assert windows is not None
+    added = _added(discovery, answer, fit, model)
+    runs = whole_and_windows(fit.plant, answer.judging, windows.window, before.window)
     searched = [note for note in discovery.notes if isinstance(note, GridNote)]
     notes = [*_lasting(discovery, answer), *searched, *hints]
     notes.append(_FURTHER.format(labels_of(further), ratio) if further else _BETTER)
     return replace(
         discovery, effects=names_of(model.placed), added=added,
-        after=judged_runs(fit.plant, answer.judging, window=answer.best.runs[0].window),
-        windows_after=judged_runs(fit.plant, answer.judging, window=windows.window),
-        found=fit, plant=fit.plant, held_out=answer.judging,
+        after=runs[0], windows_after=runs[1], found=fit, plant=fit.plant, held_out=answer.judging,
         notes=(*notes, *_portion_note(answer), *on_bounds(discovery.declared.nominal, fit.plant),
                *uncertain_effects(added)),
     )  # fmt: skip

@@ -17,8 +17,8 @@ from eoi_jax.discovery.rules import RULES
 from eoi_jax.models.augmented import Placed
 from eoi_jax.models.plant import Plant
 from eoi_jax.refinement.result import Refinement
-from eoi_jax.simulation.error_growth import error_growth, is_lost, window_head
-from eoi_jax.simulation.validate import FreeRuns, Validation, judged_runs
+from eoi_jax.simulation.error_growth import is_lost, window_head
+from eoi_jax.simulation.validate import FreeRuns, Validation, growth_that_rules, judged_runs
 
 _RULES = RULES.judge
 
@@ -79,11 +79,9 @@ class Judge:
             return None
         heads = (min(_RULES.start, count // 3), min(_RULES.start, shortest // _RULES.blocks + 3))
         judge = cls(records, count * records[0].sample_period, *heads)
-        good = np.all(judged_runs(plant, records, judge.whole_head).nrmse < _RULES.misled)
-        if good or plant.sampled is not None:
-            return judge
-        growth = error_growth(plant, records)
-        if not (growth.growing and growth.cuts(records)):
+        whole = judged_runs(plant, records, judge.whole_head)
+        growth = growth_that_rules(plant, whole, most=_RULES.misled)
+        if growth is None:
             return judge
         period = records[0].sample_period
         longest = max(growth.window, 2.0 * _RULES.min_window * period)

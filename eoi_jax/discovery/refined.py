@@ -122,6 +122,7 @@ def polished(
     Returns:
         The model that was kept, or the reason why there is none.
     """
+    longest = initial[0].window
     long_run_fit = _over_whole_runs(plant, records, validation, initial, window, effects)
     if window is None:
         return long_run_fit
@@ -135,7 +136,7 @@ def polished(
         )
     refinement = refine(start, records, window=window)
     short_run_fit = Polished(
-        refinement, placed, whole_and_windows(refinement.plant, validation, window)
+        refinement, placed, whole_and_windows(refinement.plant, validation, window, longest)
     )
     return (
         short_run_fit
@@ -153,12 +154,13 @@ def _over_whole_runs(
     effects: Sequence[AbstractEffect] | None,
 ) -> Polished | str:
     best: Polished | None = None
+    longest = initial[0].window
     placed: tuple[Placed, ...] = ()
     for iteration in range(1 + _RULES.additions):
         refinement = refine(plant, records)
         if not refinement.status.ok:
             return best or f"not refined: {refinement.status}"
-        runs = whole_and_windows(refinement.plant, validation, window)
+        runs = whole_and_windows(refinement.plant, validation, window, longest)
         allowed = -_RULES.negligible if placed else _RULES.negligible
         if _changes_less_than(initial if best is None else best.runs, runs, allowed):
             best = Polished(refinement, placed, runs)

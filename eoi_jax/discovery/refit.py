@@ -77,10 +77,18 @@ def window_of(task: Task, records: Sequence[Record]) -> float | None:
     """Length of short free runs [s]; None where the records are too short."""
     if task.window is not None:
         return task.window
-    return window_length(records, 2 * longest_start(task.plant, records))
+    window = window_length(records, 2 * longest_start(task.plant, records))
+    return window if window is None or task.longest is None else min(window, 0.5 * task.longest)
 
 
 def free_runs(task: Task, plant: Plant) -> FreeRuns:
-    """Whole and short free runs on the held-out records, or without any on those of the fit."""
-    records = task.held_out or task.records
-    return whole_and_windows(plant, records, window_of(task, records))
+    """Long and short free runs on the held-out records, or without any on those of the fit.
+
+    Long ones are through whole records, but for unstable plants.
+    """
+    records, longest = task.held_out or task.records, task.longest
+    window = window_of(task, records)
+    if longest is None and plant is task.declared.plant:
+        short = None if window is None else judged_runs(plant, records, window=window)
+        return task.whole_runs, short
+    return whole_and_windows(plant, records, window, longest)

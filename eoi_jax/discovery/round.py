@@ -39,6 +39,7 @@ from eoi_jax.models.effects.products import ModulatedSinusoid, Product
 from eoi_jax.models.placements import placements
 from eoi_jax.models.plant import Plant
 from eoi_jax.models.step_scales import scaled_step, step_room, step_scales
+from eoi_jax.simulation.validate import Validation, growth_that_rules, judged_runs
 
 _RULES = RULES.round
 
@@ -61,6 +62,18 @@ class Task:
     def threads(self) -> int:
         """Number of threads that evaluate models; 0 if they would deadlock (`side_by_side`)."""
         return 0 if waits(self.plant) else os.cpu_count() or 1
+
+    @cached_property
+    def whole_runs(self) -> Validation:
+        """Free runs of the declared model through whole records."""
+        return judged_runs(self.declared.plant, self.held_out or self.records)
+
+    @cached_property
+    def longest(self) -> float | None:
+        """Length of long free runs [s] where whole ones say nothing; None: whole records."""
+        most = RULES.judge.misled
+        growth = growth_that_rules(self.declared.plant, self.whole_runs, most=most)
+        return None if growth is None else growth.window
 
     @cached_property
     def band(self) -> float:

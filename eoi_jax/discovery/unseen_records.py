@@ -32,7 +32,8 @@ def with_test_errors(
     alike = made_alike(test, records, discovery.found.records)
     if window is None:
         window = window_length(alike, 2 * longest_start(discovery.plant, alike))
-    before, after = (whole_and_windows(model, alike, window) for model in models)
+    longest = None if discovery.before is None else discovery.before.window
+    before, after = (whole_and_windows(model, alike, window, longest) for model in models)
     return replace(
         discovery,
         test_before=before[0],

@@ -277,7 +277,7 @@ def error_rows(discovery: Discovery) -> list[tuple[str, ...]]:
         if declared is None or augmented is None:
             continue
         for j, output in enumerate(declared.outputs):
-            key, unit = f"{output}{suffix}", declared.units[j]
+            key, unit = f"{output}{suffix or _extent(declared)}", declared.units[j]
             rows.append(_row(f"{data} RMSE of {key}", declared.rmse[j], augmented.rmse[j], unit))
             fits = (f"{value:.2f}" for value in (declared.fit[j], augmented.fit[j]))
             rows.append((f"{data} fit of {key}", *fits, "", "%"))
@@ -410,7 +410,7 @@ def _free_run_errors(discovery: Discovery) -> str:
         return "no free run was possible"
     data = "the same data (no data held out)" if discovery.in_sample else "held-out data"
     errors = _compared(declared, augmented, discovery.changed)
-    extent, remark = (" in windows", _DRIFT) if windowed else ("", "")
+    extent, remark = (" in windows", _DRIFT) if windowed else (_extent(declared), "")
     first, last = discovery.test_before, discovery.test_after
     if windowed:
         first, last = discovery.test_windows_before, discovery.test_windows_after
@@ -418,6 +418,11 @@ def _free_run_errors(discovery: Discovery) -> str:
     if first is not None and last is not None:
         unseen = f"; on test data{extent} {_compared(first, last, discovery.changed)}"
     return f"free-run error on {data}{extent} {errors}{unseen}{remark}"
+
+
+def _extent(runs: Validation) -> str:
+    """Length of long free runs that are no whole records, as those of an unstable plant."""
+    return "" if runs.window is None else f" in windows of {runs.window:.3g} s"
 
 
 def _compared(declared: Validation, augmented: Validation, changed: bool) -> str:

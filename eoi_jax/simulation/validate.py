@@ -41,7 +41,13 @@ from eoi_jax.models.check_records import check_records
 from eoi_jax.models.controller import Controller
 from eoi_jax.models.plant import Plant
 from eoi_jax.simulation.closed_loop import closed_loop
-from eoi_jax.simulation.error_growth import error_growth, is_lost, restarted, window_head
+from eoi_jax.simulation.error_growth import (
+    ErrorGrowth,
+    error_growth,
+    is_lost,
+    restarted,
+    window_head,
+)
 from eoi_jax.simulation.initial_state import Run, Starts
 from eoi_jax.simulation.integrator import frictional
 from eoi_jax.simulation.planned_runs import planned_runs
@@ -181,10 +187,8 @@ def validate(
         length = None if window == np.inf else window
         return judged_runs(plant, records, initial_samples, length, substeps)
     whole = judged_runs(plant, records, initial_samples, None, substeps)
-    if plant.sampled is not None or not is_lost(whole.nrmse, np.ones_like(whole.nrmse)):
-        return whole  # the growth of errors is that of the plant without its controller
-    growth = error_growth(plant, whole.records, initial_samples)
-    if not growth.growing or not growth.cuts(whole.records):
+    growth = growth_that_rules(plant, whole, initial_samples)
+    if growth is None:
         return whole
     if initial_samples is None:
         initial_samples = window_head(growth.window, plant, whole.records)
@@ -192,6 +196,23 @@ def validate(
     starts = sum(-(-(len(record) - 1) // round(growth.window / record.sample_period))
                  for record in runs.records)  # fmt: skip
     return replace(runs, notes=(*runs.notes, restarted(starts, growth, "Judged")))
+
+
+def growth_that_rules(
+    plant: Plant, whole: Validation, initial_samples: int | None = None, most: float = 1.0
+) -> ErrorGrowth | None:
+    """How errors of a start grow, where they rule whole free runs; None where these can be judged.
+
+    Args:
+        plant: that was simulated.
+        whole: its free runs through whole records.
+        initial_samples: from which they started; None: as many as `validate` takes.
+        most: error over the spread of an output, up to which a whole run says something.
+    """
+    if plant.sampled is not None or not is_lost(whole.nrmse, np.full_like(whole.nrmse, most)):
+        return None  # the growth of errors is that of the plant without its controller
+    growth = error_growth(plant, whole.records, initial_samples)
+    return growth if growth.growing and growth.cuts(whole.records) else None
 
 
 def validated_alike(
@@ -298,16 +319,23 @@ def _judged(
 FreeRuns = tuple[Validation, Validation | None]  # whole, in windows
 
 
-def whole_and_windows(plant: Plant, records: Sequence[Record], window: float | None) -> FreeRuns:
+def whole_and_windows(
+    plant: Plant,
+    records: Sequence[Record],
+    window: float | None,
+    longest: float | None = None,
+) -> FreeRuns:
     """Both kinds of free runs: long ones of a lightly damped plant are ruled by drift of phase.
 
     Args:
         plant: to judge.
         records: on these.
         window: length of re-initialised runs [s]; None where the records are too short for any.
+        longest: the same of the long runs, of an unstable plant; None: whole records.
     """
-    full_runs = judged_runs(plant, records)
-    return full_runs, None if window is None else judged_runs(plant, records, window=window)
+    head = None if longest is None else window_head(longest, plant, records)
+    long_runs = judged_runs(plant, records, head, longest)
+    return long_runs, None if window is None else judged_runs(plant, records, window=window)
 
 
 def _head(plant: Plant, record: Record, initial_samples: int | None) -> int:
