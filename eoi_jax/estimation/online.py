@@ -1,21 +1,26 @@
 r"""The estimator for a loop in real time: observer, filter, recursion and alarm, sample by sample.
 
 Each step is that of the pass (`kernel.py`) and of the recursion (12)–(13)
-(`regression/recursive_least_squares.py`); nothing looks ahead. The weight of a step that follows a
-start, or rest under dry friction, rises as in `data/masks.py`; towards rest, which only the next
-samples show, it does not fall in advance.
+(`regression/recursive_least_squares.py`); nothing looks ahead.
 
-**Alarm.** Of the injection r = F[u_eq] at θ, with P its power where the model holds (14),
+**Missing samples.** A step that does not count (beside a missing sample, or at rest under dry
+friction) has the weight zero, which `online_mask.py` finds, and empties the filter: what follows is
+the pass over a record that begins there. Information, estimate and time go on, and so do internal
+states, with outputs that stay at the last measurement.
 
-    s ← s + (h/T) (r²/P - s)        (the mean over the outputs)
+**Alarm.** Of the injection r = F[m u_eq] at θ, with P its power where the model holds,
 
-is the power over the last T seconds, one on average. As a mean of squares it is distributed like
-χ²/ν with ν = 2/var s degrees of freedom. As P is a mean of squares itself, of N independent ones,
-the ratio has the F distribution (ν, N). Levels u standard deviations away are crossed by a process
-with the memory T at the rate u² Q(u)/T (an Ornstein–Uhlenbeck process: H. Cramér, M. Leadbetter,
-*Stationary and Related Stochastic Processes* (1967), chapter 12; D. Aldous, *Probability
-Approximations via the Poisson Clumping Heuristic* (1989), D10), which is set to the rate of false
-alarms that is asked for; the threshold is the quantile of F with the same tail Q(u).
+    s ← s + (h/T) w² (r²/P - s)        (the mean over the outputs)
+
+is the power over the last T seconds, one on average. Behind what does not count, w = F[m] rises
+from zero to one, and r² has more noise than w² P: as a weight, w² lets such steps count little. As
+a mean of squares s is distributed like χ²/ν with ν = 2/var s degrees of freedom. As P is a mean of
+squares itself, of N independent ones, the ratio has the F distribution (ν, N). Levels u standard
+deviations away are crossed by a process with the memory T at the rate u² Q(u)/T (an
+Ornstein–Uhlenbeck process: H. Cramér, M. Leadbetter, *Stationary and Related Stochastic Processes*
+(1967), chapter 12; D. Aldous, *Probability Approximations via the Poisson Clumping Heuristic*
+(1989), D10), which is set to the rate of false alarms that is asked for; the threshold is the
+quantile of F with the same tail Q(u).
 """
 
 from collections.abc import Sequence
@@ -26,19 +31,18 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Array, Bool, Float
 
 from eoi_jax._checks import check, check_kind, check_positive, check_shape, real
 from eoi_jax._types import Output, Scalar
 from eoi_jax.compiler.jax_private import Tracer
-from eoi_jax.data.masks import SETTINGS as MASK_SETTINGS
-from eoi_jax.data.masks import direction_of_motion
 from eoi_jax.data.record import Record
 from eoi_jax.estimation.identify import Identification
 from eoi_jax.estimation.kernel import Carry, Kernel, Step
 from eoi_jax.estimation.lowpass import DiscreteFilter, LowPass
-from eoi_jax.estimation.observe import ObserverPass, observe
+from eoi_jax.estimation.observe import observe
 from eoi_jax.estimation.observers.observer import AbstractObserver, gain
+from eoi_jax.estimation.online_mask import MaskState, OnlineMask, StepMask
 from eoi_jax.estimation.preparation import TAPER, check_observer
 from eoi_jax.estimation.regression.recursive_least_squares import (
     RecursiveLeastSquares,
@@ -51,9 +55,8 @@ from eoi_jax.simulation.residual_correlation import lagged_products
 
 @dataclass(frozen=True)
 class OnlineSettings:
-    """How long steps are counted, and how the threshold of an alarm is found."""
+    """How the threshold of an alarm is found."""
 
-    ages: float = 1e9  # steps, beyond which they are no longer counted
     time_constants: float = 20.0  # of F, over which the injection's noise is correlated
     deviations: tuple[float, float] = (1.5, 12.0)  # u of a threshold
 
@@ -93,19 +96,15 @@ class OnlineState(eqx.Module):
 
     Attributes:
         samples: number so far.
-        direction: of motion of each output in the last step, 0 where uncertain, shape (ny,).
-        moving: steps since each output was last at rest, shape (ny,).
-        scored: steps since each last had no weight, shape (ny,).
-        y, u: the last sample.
+        mask: of what counts.
+        y, u: the last sample; of an output that is missing, the last that was not.
         kernel: of observer and filter.
         recursion: of the least squares.
         power: s of the alarm.
     """
 
     samples: Scalar
-    direction: Output
-    moving: Output
-    scored: Output
+    mask: MaskState
     y: Output
     u: Float[Array, " nu"]
     kernel: Carry
@@ -133,6 +132,8 @@ class OnlineEstimator(eqx.Module):
     """Observer, filter and recursive least squares, one sample at a time: `init` and `step`.
 
     Pure functions of arrays, for `jit`, `vmap` and `lax.scan`; `export_estimator` writes them as C.
+    Without missing samples injection and estimate are those of `observe` and `recursive` over the
+    record, except beside rest under dry friction, where weights do not fall in advance.
 
     Args:
         plant: the model; delays and lags of inputs are not supported.
@@ -142,7 +143,9 @@ class OnlineEstimator(eqx.Module):
         theta: parameters at which the observer runs; by default those of the plant.
         forgetting: λ of the recursion.
         weights: of the outputs, the inverse of their index up to a factor, shape (ny,).
-        transient: time at the start that does not count [s]; by default ten time constants of F.
+        transient: time at the start that does not count [s], and behind missing samples where the
+            plant has internal states or the observer is explicit; by default ten time constants of
+            F, and one second more for an explicit observer.
         noise: standard deviation of the noise of each output, by which a velocity with dry friction
             counts as zero.
         hold: of the inputs between samples: ``"zero"`` or ``"linear"``.
@@ -160,12 +163,9 @@ class OnlineEstimator(eqx.Module):
     sample_period: float
     recursion: RecursiveLeastSquares
     weights: Float[Array | np.ndarray, " ny"]
-    transient: float
-    taper: float
-    velocity_noise: Float[Array | np.ndarray, " ny"]
+    mask: OnlineMask
     hold: str = eqx.field(static=True)
     alarm: Alarm | None
-    jumps: tuple[tuple[bool, ...], ...] = eqx.field(static=True)
 
     def __init__(
         self,
@@ -198,12 +198,11 @@ class OnlineEstimator(eqx.Module):
         self.weights = np.ones(ny) if weights is None else np.asarray(weights, float)
         check_shape("weights", self.weights, (ny,), "one number an output")
         slowest = 10.0 / real(lowpass.cutoff) + (1.0 if observer.scheme == "explicit" else 0.0)
-        self.transient = slowest if transient is None else real(transient)
-        self.taper = TAPER / real(lowpass.cutoff) / h
+        skipped = (slowest if transient is None else real(transient)) / h
         speed = np.where(np.asarray(plant.degrees) == 1, 1.0, np.sqrt(2.0) / h)
-        self.velocity_noise = np.broadcast_to(np.asarray(noise, float), ny) * speed
+        spread = np.broadcast_to(np.asarray(noise, float), ny) * speed
+        self.mask = OnlineMask(plant, observer, skipped, TAPER / real(lowpass.cutoff) / h, spread)
         self.alarm = _checked_alarm(alarm, ny, h)
-        self.jumps = tuple(map(tuple, plant.jumps.tolist()))
 
     @property
     def kernel(self) -> Kernel:
@@ -218,9 +217,7 @@ class OnlineEstimator(eqx.Module):
         y, h = jnp.zeros(ny), jnp.asarray(self.sample_period)
         return OnlineState(
             jnp.zeros(()),
-            y,
-            jnp.full(ny, _SETTINGS.ages),
-            y,
+            self.mask.init(jnp.zeros(ny, bool)),
             y,
             jnp.zeros(nu),
             self.kernel.init(y, y, h),
@@ -233,8 +230,10 @@ class OnlineEstimator(eqx.Module):
 
         Args:
             state: before it.
-            y: outputs, measured at the sample, shape (ny,).
-            u: inputs from the sample on, shape (nu,).
+            y: outputs, measured at the sample, shape (ny,); NaN (or infinite) where one is missing.
+                Steps beside it then add nothing, of any output: it may stand in every equation.
+            u: inputs from the sample on, shape (nu,). One that is NaN keeps its last value, and the
+                sample counts as missing.
 
         Returns:
             The state after the sample, and what is known then.
@@ -245,15 +244,10 @@ class OnlineEstimator(eqx.Module):
         y, u = jnp.asarray(y, float), jnp.asarray(u, float)
         check_shape("y", y, (len(self.plant.outputs),), "one number an output")
         check_shape("u", u, (len(self.plant.inputs),), "one number an input")
+        measured = _is_number(y) & jnp.all(_is_number(u))
+        y, u = jnp.where(measured, y, state.y), jnp.where(_is_number(u), u, state.u)
         number, h = state.samples - 1.0, jnp.asarray(self.sample_period)  # number of the step
-        direction, moving = self._motion(state, y)
-        usable, since, use = jnp.ones(y.shape, bool), state.scored, jnp.ones(y.shape)
-        if any(self.plant.degrees):
-            usable = (moving >= self._taps) & (number >= self._taps + MASK_SETTINGS.settling)
-            since = jnp.where(usable, jnp.minimum(state.scored + 1.0, _SETTINGS.ages), 0.0)
-            length = jnp.maximum(self.taper, 1.0)
-            use = 0.5 - 0.5 * jnp.cos(jnp.pi * jnp.minimum(since, length) / length)
-        score = (usable & (number >= jnp.round(self.transient / h))).astype(float)
+        mask, counts = self.mask.step(state.mask, number, h, state.y, y, measured)
         explicit = self.observer.scheme == "explicit"
         middle = state.u if explicit or self.hold == "zero" else 0.5 * (state.u + u)
         row = Step(
@@ -262,17 +256,17 @@ class OnlineEstimator(eqx.Module):
             time=h * (number + (0.0 if explicit else 0.5)),
             y=state.y,
             y_next=y,
-            use=use,
-            score=score,
-            restart=number == 0.0,
+            use=counts.use,
+            score=counts.score,
+            restart=counts.restart,
             block_weight=jnp.zeros(()),
             block_end=jnp.zeros((), bool),
             u_start=state.u if self.plant.has_algebraic else None,
         )
-        kernel, trace = self.kernel.step(state.kernel, row, h)
-        weights = score * jnp.asarray(self.weights)
+        kernel, trace = self.kernel.step(_emptied(state.kernel, counts), row, h)
+        weights = counts.score * jnp.asarray(self.weights)
         recursion, _ = self.recursion.step(state.recursion, trace.Phi, trace.injection, weights)
-        power = self._power(state.power, trace.injection, trace.weight, score)
+        power = self._power(state.power, trace.injection, trace.weight, counts.score)
         begun = state.samples > 0.0  # the first sample ends no step
 
         def updated(new: Array, old: Array) -> Array:
@@ -280,51 +274,41 @@ class OnlineEstimator(eqx.Module):
 
         after = OnlineState(
             state.samples + 1.0,
-            updated(direction, state.direction),
-            updated(moving, state.moving),
-            updated(since, state.scored),
+            jax.tree.map(updated, mask, self.mask.init(measured)),
             y,
             u,
             jax.tree.map(updated, kernel, state.kernel),
             jax.tree.map(updated, recursion, state.recursion),
             updated(power, state.power),
         )
-        threshold = np.inf if self.alarm is None else self.alarm.threshold
+        zero = jnp.zeros(())
+        alarm = zero if self.alarm is None else (after.power > self.alarm.threshold).astype(float)
         estimate = OnlineEstimate(
             jnp.asarray(self.theta) + after.recursion.increment,
             jnp.where(begun, trace.injection, 0.0),
-            after.power if self.alarm is not None else jnp.zeros(()),
-            (after.power > threshold).astype(float),
+            zero if self.alarm is None else after.power,
+            alarm,
         )
         return after, estimate
-
-    @property
-    def _taps(self) -> int:
-        return np.atleast_2d(np.asarray(self.observer.kernel)).shape[1]
-
-    def _motion(self, state: OnlineState, y: Output) -> tuple[Output, Output]:
-        """Direction of each output, and steps since it, or one that acts on it, was at rest."""
-        jumps = np.asarray(self.jumps)
-        if not np.any(jumps):
-            return state.direction, jnp.full(y.shape, _SETTINGS.ages)
-        spread = jnp.asarray(self.velocity_noise)
-        direction = direction_of_motion(self.plant.degrees, state.y, y, self.sample_period, spread)
-        previous = jnp.where(state.samples == 1.0, direction, state.direction)
-        resting = (direction == 0.0) | (direction != previous)
-        stopped = jnp.stack([jnp.any(jnp.where(row, resting, False)) for row in jumps])
-        ages = jnp.minimum(state.moving + 1.0, _SETTINGS.ages)
-        return direction, jnp.where(stopped, 0.0, ages)
 
     def _power(self, power: Scalar, injection: Output, weight: Output, score: Output) -> Scalar:
         """The injection's power over that of its noise, over the memory of the alarm."""
         if self.alarm is None:
             return power
         share = self.sample_period / self.alarm.memory
-        mean = injection / jnp.where(weight > 0.0, weight, 1.0)
-        ratios = mean**2 / jnp.asarray(self.alarm.power)
-        count = jnp.sum(score)
-        latest = jnp.sum(score * ratios) / jnp.where(count > 0.0, count, 1.0)
-        return jnp.where(count > 0.0, power + share * (latest - power), power)
+        excess = injection**2 / jnp.asarray(self.alarm.power) - power
+        return power + share * jnp.mean(score * weight**2 * excess)
+
+
+def _is_number(values: Array) -> Bool[Array, " channels"]:
+    """Neither NaN nor infinite."""
+    return jnp.abs(values) <= jnp.finfo(values.dtype).max
+
+
+def _emptied(kernel: Carry, counts: StepMask) -> Carry:
+    """The filter without what it remembers, of outputs that do not count."""
+    filtered = jnp.where(counts.usable[:, None], kernel.filtered, 0.0)
+    return eqx.tree_at(lambda carry: carry.filtered, kernel, filtered)
 
 
 def _checked_alarm(alarm: Alarm | None, ny: int, h: float) -> Alarm | None:
@@ -384,11 +368,17 @@ def online_estimator(
         )
         for record in used
     ]  # fmt: skip
-    injections = [_mean_injection(part) for part in passes]
-    scores = [np.asarray(part.score) > 0 for part in passes]
-    counts = np.sum([np.sum(score, axis=0) for score in scores], axis=0).astype(float)
+    counts = np.sum([np.sum(part.score, axis=0) for part in passes], axis=0)
     check(np.all(counts > 1), "records", "must have samples that count", counts.tolist())
-    power = np.sum([np.sum(part**2, axis=0) for part in injections], axis=0) / counts
+    weights = [np.asarray(part.score * part.weight) for part in passes]
+    injections = [
+        weight * np.asarray(part.injection) for weight, part in zip(weights, passes, strict=True)
+    ]
+    squares, counts = (
+        np.sum([np.sum(part**2, axis=0) for part in parts], axis=0)
+        for parts in (injections, weights)
+    )
+    power = squares / counts
     lags = int(np.ceil(_SETTINGS.time_constants / (result.lowpass.cutoff * periods[0])))
     correlation = _correlation(injections, lags) / (counts * power)
     threshold = _threshold(correlation, counts, periods[0], real(memory), real(false_alarms))
@@ -404,13 +394,6 @@ def online_estimator(
         hold=hold,
         alarm=alarm,
     )
-
-
-def _mean_injection(part: ObserverPass) -> Float[np.ndarray, "S ny"]:
-    """F[m u_eq]/F[m] where it counts, else 0."""
-    weight = np.asarray(part.weight)
-    counts = (np.asarray(part.score) > 0) & (weight > 0)
-    return np.where(counts, np.asarray(part.injection) / np.where(counts, weight, 1.0), 0.0)
 
 
 def _correlation(

@@ -34,9 +34,10 @@ _TEXT = """\
  * Written by eoi_jax {version}, in {precision} precision.
  *
  * {name}_init once, then {name}_step at every sample, each {period:.9g} s:
- *   outputs[{ny}]: {outputs}, as measured at the sample
+ *   outputs[{ny}]: {outputs}, as measured at the sample; NaN where one is missing
  *   inputs[{nu}]: {inputs}, as they are from the sample on
- * Nothing is allocated, and every call does the same operations. Parameters, at the start:
+ * Nothing is allocated, and every call does the same operations. NaN needs a compiler without
+ * -ffast-math. Parameters, at the start:
 {parameters}
  */
 #include <math.h>
