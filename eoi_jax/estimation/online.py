@@ -116,7 +116,7 @@ class OnlineEstimate(eqx.Module):
     """What a sample adds.
 
     Attributes:
-        parameters: θ + Δ̂, shape (np,).
+        parameters: θ + Δ̂, shape (np,); fixed ones as they are.
         injection: F[u_eq] at θ, shape (ny,).
         power: s, the injection's power over that of its noise; zero without an alarm.
         alarm: 1 where it is above the threshold.
@@ -140,7 +140,8 @@ class OnlineEstimator(eqx.Module):
         observer: with its gains.
         lowpass: F.
         sample_period: h [s].
-        theta: parameters at which the observer runs; by default those of the plant.
+        theta: parameters at which the observer runs; by default those of the plant. The recursion
+            estimates all but those that the plant has fixed.
         forgetting: λ of the recursion.
         weights: of the outputs, the inverse of their index up to a factor, shape (ny,).
         transient: time at the start that does not count [s], and behind missing samples where the
@@ -209,7 +210,12 @@ class OnlineEstimator(eqx.Module):
         """Observer and filter."""
         theta, ones = jnp.asarray(self.theta), jnp.ones(len(self.plant.outputs))
         parts = self.plant, self.observer, self.lowpass, theta
-        return Kernel(*parts, jnp.zeros_like(theta), ones, "signals")
+        return Kernel(*parts, jnp.zeros_like(theta), ones, "signals", jnp.asarray(self.columns))
+
+    @property
+    def columns(self) -> Float[np.ndarray, "np free"]:
+        """Directions of the parameters that are estimated: all but the fixed ones."""
+        return np.eye(len(self.plant.names))[:, np.asarray(self.plant.free) > 0]
 
     def init(self) -> OnlineState:
         """State without a sample."""
@@ -221,7 +227,7 @@ class OnlineEstimator(eqx.Module):
             y,
             jnp.zeros(nu),
             self.kernel.init(y, y, h),
-            self.recursion.init(len(self.plant.names)),
+            self.recursion.init(self.columns.shape[1]),
             jnp.ones(()),
         )
 
@@ -284,7 +290,7 @@ class OnlineEstimator(eqx.Module):
         zero = jnp.zeros(())
         alarm = zero if self.alarm is None else (after.power > self.alarm.threshold).astype(float)
         estimate = OnlineEstimate(
-            jnp.asarray(self.theta) + after.recursion.increment,
+            jnp.asarray(self.theta) + jnp.asarray(self.columns) @ after.recursion.increment,
             jnp.where(begun, trace.injection, 0.0),
             zero if self.alarm is None else after.power,
             alarm,

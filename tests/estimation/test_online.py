@@ -128,6 +128,19 @@ def test_it_is_the_pass_and_the_recursion_of_a_whole_record(name):
     np.testing.assert_allclose(online.parameters[401:], known, rtol=1e-7, atol=1e-9)
 
 
+def test_fixed_parameters_stay_and_the_others_are_those_without_their_columns():
+    plant, observer = make("oscillator")
+    record, lowpass = recorded(plant, scale=1.0), eoi.LowPass(8.0, 3)
+    fixed = plant.with_parameters({"c": 0.5, "k": 4.0}).declared_anew(fixed=("g",))
+    estimator = eoi.OnlineEstimator(fixed, observer, lowpass, H, transient=2.0)
+    last = ours(estimator, record).parameters[-1]
+    p = eoi.observe(fixed, observer, None, H, record.outputs, record.inputs, lowpass=lowpass,
+                    transient=2.0)  # fmt: skip
+    history, _ = eoi.recursive(p.regressors[..., 1:], p.injection, p.score)
+    np.testing.assert_allclose(last, [1.2, *(fixed.theta[1:] + history[-1])], rtol=1e-12)
+    np.testing.assert_allclose(last, plant.theta, rtol=3e-3)
+
+
 def test_it_converges_to_the_parameters_of_a_plant_with_dry_friction():
     estimator, _ = estimator_of("friction", transient=2.0)
     plant, _ = make("friction")
