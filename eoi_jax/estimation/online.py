@@ -42,6 +42,7 @@ from eoi_jax.estimation.kernel import Carry, Kernel, Step
 from eoi_jax.estimation.lowpass import DiscreteFilter, LowPass
 from eoi_jax.estimation.observe import observe
 from eoi_jax.estimation.observers.observer import AbstractObserver, gain
+from eoi_jax.estimation.online_inputs import DrivenInputs, DrivenState
 from eoi_jax.estimation.online_mask import MaskState, OnlineMask, StepMask
 from eoi_jax.estimation.preparation import TAPER, check_observer
 from eoi_jax.estimation.regression.recursive_least_squares import (
@@ -98,6 +99,7 @@ class OnlineState(eqx.Module):
         samples: number so far.
         mask: of what counts.
         y, u: the last sample; of an output that is missing, the last that was not.
+        inputs: of the actuators.
         kernel: of observer and filter.
         recursion: of the least squares.
         power: s of the alarm.
@@ -107,6 +109,7 @@ class OnlineState(eqx.Module):
     mask: MaskState
     y: Output
     u: Float[Array, " nu"]
+    inputs: DrivenState
     kernel: Carry
     recursion: RecursiveState
     power: Scalar
@@ -136,7 +139,9 @@ class OnlineEstimator(eqx.Module):
     record, except beside rest under dry friction, where weights do not fall in advance.
 
     Args:
-        plant: the model; delays and lags of inputs are not supported.
+        plant: the model. Delays and lags of its inputs (effects or those of text models) run at
+            `theta`, and before the first sample all inputs are taken to be as there. If they are
+            not fixed, the recursion estimates them to first order, as `identify` does in one pass.
         observer: with its gains.
         lowpass: F.
         sample_period: h [s].
@@ -145,16 +150,17 @@ class OnlineEstimator(eqx.Module):
         forgetting: λ of the recursion.
         weights: of the outputs, the inverse of their index up to a factor, shape (ny,).
         transient: time at the start that does not count [s], and behind missing samples where the
-            plant has internal states or the observer is explicit; by default ten time constants of
-            F, and one second more for an explicit observer.
+            plant has internal states, delays or lags, or the observer is explicit; by default ten
+            time constants of F, and one second more for an explicit observer.
         noise: standard deviation of the noise of each output, by which a velocity with dry friction
             counts as zero.
         hold: of the inputs between samples: ``"zero"`` or ``"linear"``.
         alarm: by default none.
 
     Raises:
-        ValueError: a plant with delays or lags, arguments that do not match it, an alarm with
-            another number of outputs or a memory shorter than the sample period.
+        ValueError: a plant whose states change at samples, or with an actuator that is a function
+            of its own, arguments that do not match it, an alarm with another number of outputs or
+            a memory shorter than the sample period.
     """
 
     plant: Plant
@@ -162,6 +168,7 @@ class OnlineEstimator(eqx.Module):
     lowpass: DiscreteFilter
     theta: Float[Array | np.ndarray, " np"]
     sample_period: float
+    inputs: DrivenInputs
     recursion: RecursiveLeastSquares
     weights: Float[Array | np.ndarray, " ny"]
     mask: OnlineMask
@@ -185,9 +192,8 @@ class OnlineEstimator(eqx.Module):
     ):
         check_kind("plant", plant, Plant, "a Plant")
         check_observer(plant, observer)
-        rule = "must be a model without delays or lags of its inputs, and without sampled states"
-        advice = "Give the estimator inputs that are delayed already, or a lag as a state."
-        check(plant.actuator is None and plant.sampled is None, "plant", rule, plant.name, advice)
+        rule = "must have no states that change at samples: observers do not follow them"
+        check(plant.sampled is None, "plant", rule, plant.name)
         h, ny = real(sample_period), len(plant.outputs)
         check(h > 0, "sample_period", "must be positive [s]", sample_period)
         check(hold in ("zero", "linear"), "hold", 'must be "zero" or "linear"', hold)
@@ -195,6 +201,9 @@ class OnlineEstimator(eqx.Module):
         self.lowpass, self.sample_period = lowpass.discretise(h), h
         self.theta = np.asarray(plant.theta if theta is None else theta, float)
         check_shape("theta", self.theta, (len(plant.names),), "one number a parameter")
+        self.inputs = DrivenInputs(
+            plant, self.theta, h, self.columns, hold == "zero" or observer.scheme == "explicit"
+        )
         self.recursion = RecursiveLeastSquares(forgetting, compensated=True)
         self.weights = np.ones(ny) if weights is None else np.asarray(weights, float)
         check_shape("weights", self.weights, (ny,), "one number an output")
@@ -226,6 +235,7 @@ class OnlineEstimator(eqx.Module):
             self.mask.init(jnp.zeros(ny, bool)),
             y,
             jnp.zeros(nu),
+            self.inputs.init(),
             self.kernel.init(y, y, h),
             self.recursion.init(self.columns.shape[1]),
             jnp.ones(()),
@@ -256,9 +266,12 @@ class OnlineEstimator(eqx.Module):
         mask, counts = self.mask.step(state.mask, number, h, state.y, y, measured)
         explicit = self.observer.scheme == "explicit"
         middle = state.u if explicit or self.hold == "zero" else 0.5 * (state.u + u)
+        inputs, driven = self.inputs.step(
+            state.inputs, number == 0.0, middle, state.u, jnp.asarray(self.theta), h
+        )
         row = Step(
-            u=middle,
-            slope=None,
+            u=driven.u,
+            slope=driven.slope,
             time=h * (number + (0.0 if explicit else 0.5)),
             y=state.y,
             y_next=y,
@@ -267,7 +280,8 @@ class OnlineEstimator(eqx.Module):
             restart=counts.restart,
             block_weight=jnp.zeros(()),
             block_end=jnp.zeros((), bool),
-            u_start=state.u if self.plant.has_algebraic else None,
+            u_start=driven.u_start,
+            slope_start=driven.slope_start,
         )
         kernel, trace = self.kernel.step(_emptied(state.kernel, counts), row, h)
         weights = counts.score * jnp.asarray(self.weights)
@@ -283,6 +297,7 @@ class OnlineEstimator(eqx.Module):
             jax.tree.map(updated, mask, self.mask.init(measured)),
             y,
             u,
+            inputs,
             jax.tree.map(updated, kernel, state.kernel),
             jax.tree.map(updated, recursion, state.recursion),
             updated(power, state.power),
@@ -352,8 +367,9 @@ def online_estimator(
         The estimator; its `alarm` has the power of the noise and the threshold.
 
     Raises:
-        ValueError: no estimate, records of several sample periods or none that count, a plant with
-            delays or lags, a rate that is not positive, a memory shorter than the sample period.
+        ValueError: no estimate, records of several sample periods or none that count, what
+            `OnlineEstimator` refuses, a rate that is not positive, a memory shorter than the
+            sample period.
     """
     check_kind("result", result, Identification, "a result of `identify`")
     rule = "must have an estimate"

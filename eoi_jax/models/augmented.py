@@ -207,6 +207,24 @@ def actuators(plant: Plant) -> tuple[Placed, ...]:
     Raises:
         ValueError: an actuator that is a user's function, or an effect of another kind.
     """
+    rule = "must be made of the effects input_delay and actuator_lag"
+    placed = actuator_effects(plant, rule)
+    for placement in placed:
+        good = isinstance(placement.effect, InputDelay | ActuatorLag)
+        check(good, "actuator", rule, placement.effect.name)
+    return placed
+
+
+def actuator_effects(plant: Plant, rule: str) -> tuple[Placed, ...]:
+    """The effects that form the actuator of a plant, in the order in which they act.
+
+    Args:
+        plant: with an actuator, or without.
+        rule: that the actuator must be made of effects, in words.
+
+    Raises:
+        ValueError: an actuator that is a user's function.
+    """
     placed: list[Placed] = []
     actuator = plant.actuator
     while isinstance(actuator, _Actuator):
@@ -216,11 +234,7 @@ def actuators(plant: Plant) -> tuple[Placed, ...]:
             if isinstance(placement.effect, AbstractActuator)
         ]
         actuator = actuator.base
-    rule = "must be made of the effects input_delay and actuator_lag"
     check(actuator is None, "actuator", rule, "a function of its own")
-    for placement in placed:
-        good = isinstance(placement.effect, InputDelay | ActuatorLag)
-        check(good, "actuator", rule, placement.effect.name)
     return tuple(placed)
 
 

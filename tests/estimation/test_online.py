@@ -12,6 +12,9 @@ import pytest
 
 import eoi_jax as eoi
 from eoi_jax.estimation.online_export import estimator_text
+from eoi_jax.models.augmented import augmented, place
+from eoi_jax.models.effects.effect import AbstractActuator
+from eoi_jax.models.sampled_states import SampledStates
 
 H = 0.01
 SAMPLES = 1200
@@ -146,6 +149,77 @@ def test_it_converges_to_the_parameters_of_a_plant_with_dry_friction():
     plant, _ = make("friction")
     last = ours(estimator, recorded(plant)).parameters[-1]
     np.testing.assert_allclose(last, [1.1 * 0.2, 1.1 * 5.0], rtol=0.005)
+
+
+# -- delays and lags of inputs ------------------------------------------------------------------
+
+DELAY, LAG, RATE = eoi.effects.InputDelay(), eoi.effects.ActuatorLag(), eoi.effects.InputRate()
+ACTED = {
+    "delay": ("oscillator", {DELAY: [0.0537]}),
+    "delay of less than a sample": ("oscillator", {DELAY: [0.0037]}),
+    "lag": ("oscillator", {LAG: [0.083]}),
+    "rate": ("oscillator", {RATE: [0.02, 0.06]}),
+    "lag and delay": ("heated", {LAG: [0.083], DELAY: [0.0537]}),
+    "delay and lag": ("two_masses", {DELAY: [0.0537], LAG: [0.083]}),
+    "a voltage behind a delay": ("cell", {DELAY: [0.0537]}),
+    "a voltage behind a lag": ("cell", {LAG: [0.083]}),
+    "a voltage behind both": ("cell", {DELAY: [0.0537], LAG: [0.083]}),
+}
+
+
+def acted(case):
+    """A plant with actuators, its observer, and a record of one with other parameters."""
+    name, chain = ACTED[case]
+    plant, observer = make(name)
+    for effect, shapes in chain.items():
+        placed = place(plant, effect, 0)
+        plant = augmented(plant, [placed], dict(zip(placed.names, shapes, strict=True)))
+    return plant, observer, recorded(plant, scale=1.05)
+
+
+@pytest.mark.parametrize(
+    ("case", "hold"),
+    [*((case, "zero") for case in ACTED), ("lag and delay", "linear"),
+     ("a voltage behind both", "linear")],
+)  # fmt: skip
+def test_behind_delays_and_lags_it_is_the_pass_and_the_recursion(case, hold):
+    """With their regressors, so that the recursion follows them too."""
+    plant, observer, record = acted(case)
+    lowpass = eoi.LowPass(8.0, plant.relative_degree + 1)
+    estimator = eoi.OnlineEstimator(plant, observer, lowpass, H, transient=2.0, hold=hold)
+    online = ours(estimator, record)
+    p = eoi.observe(plant, observer, None, H, record.outputs, record.inputs, lowpass=lowpass,
+                    transient=2.0, hold=hold)  # fmt: skip
+    size = np.max(np.abs(p.injection))
+    np.testing.assert_allclose(online.injection[1:], p.injection, atol=1e-12 * size)
+    known = plant.theta + eoi.recursive(p.regressors, p.injection, p.score)[0]
+    np.testing.assert_allclose(online.parameters[401:], known[400:], rtol=1e-7, atol=1e-9)
+
+
+def test_it_finds_a_delay_that_is_not_fixed_and_leaves_one_that_is():
+    plant, observer, _ = acted("delay")
+    record = recorded(plant, scale=1.0)
+    guess = {"input_delay": 0.0512, "k": 4.9}
+    for fixed in (("input_delay",), ()):
+        started = plant.with_parameters(guess).declared_anew(fixed=fixed)
+        estimator = eoi.OnlineEstimator(started, observer, eoi.LowPass(8.0, 3), H, transient=2.0)
+        found = dict(zip(plant.names, ours(estimator, record).parameters[-1], strict=True))
+        expected = 0.0512 if fixed else pytest.approx(0.0537, abs=1e-4)
+        assert found["input_delay"] == expected
+        assert fixed or found["k"] == pytest.approx(5.0, rel=1e-3)
+
+
+def test_gaps_behind_a_delay_cost_the_transient():
+    plant, observer, record = acted("delay and lag")
+    lowpass = eoi.LowPass(8.0, 3)
+    estimator = eoi.OnlineEstimator(plant, observer, lowpass, H, transient=2.0)
+    online = of_samples(estimator, with_gap(record), record.inputs)
+    p = eoi.observe(plant, observer, None, H, record.outputs, record.inputs, lowpass=lowpass)
+    assert np.all(np.diff(online.parameters[GAP.start : GAP.stop + 200], axis=0) == 0.0)
+    assert np.all(np.any(np.diff(online.parameters[GAP.stop + 201 :], axis=0) != 0.0, axis=1))
+    later = slice(GAP.stop + 560, None)
+    size = np.max(np.abs(p.injection))
+    np.testing.assert_allclose(online.injection[1:][later], p.injection[later], atol=1e-12 * size)
 
 
 # -- missing samples ----------------------------------------------------------------------------
@@ -309,6 +383,22 @@ AGREEMENT = [
     *((name, "single", 1e-5) for name in PLANTS),
     ("high_cell", "single", 5e-5),
 ]
+
+
+@pytest.mark.parametrize(("precision", "tolerance"), [("double", 1e-12), ("single", 1e-5)])
+@pytest.mark.parametrize("case", ["lag and delay", "a voltage behind both"])
+def test_the_exported_estimator_has_delays_and_lags(case, precision, tolerance, tmp_path):
+    plant, observer, record = acted(case)
+    plant = plant.declared_anew(fixed=plant.names[-1:])
+    lowpass = eoi.LowPass(8.0, plant.relative_degree + 1)
+    estimator = eoi.OnlineEstimator(plant, observer, lowpass, H, transient=1.0)
+    y = with_gap(record)
+    if precision == "single":
+        y = y.astype(np.float32).astype(float)
+    theirs = Exported(estimator, tmp_path, precision).run(y, record.inputs)
+    online = of_samples(estimator, y, record.inputs)
+    size = len(plant.names)
+    np.testing.assert_allclose(theirs[400:, :size], online.parameters[400:], rtol=tolerance)
 
 
 @pytest.mark.parametrize(("name", "precision", "tolerance"), AGREEMENT)
@@ -499,13 +589,34 @@ def test_an_alarm_may_be_traced(identified):
     np.testing.assert_allclose(twice, 2.0 * once, rtol=1e-3)
 
 
-def test_a_model_with_a_delay_is_refused():
-    from eoi_jax.models.augmented import augmented, place
+def test_an_actuator_that_is_a_function_is_refused():
+    plant, observer = make("oscillator")
+    own = eoi.Plant(oscillator, plant.parameters, 2, actuator=lambda t, u, p: u)
+    with pytest.raises(ValueError, match="`actuator` must be made of delays and lags"):
+        eoi.OnlineEstimator(own, observer, eoi.LowPass(8.0, 3), H)
+
+
+def test_an_actuator_without_a_step_is_refused():
+    class Doubled(AbstractActuator):
+        name = "doubled"
+        sentence = "twice the input"
+
+        def along(self, time, u, shape):
+            return 2.0 * u
 
     plant, observer = make("oscillator")
-    delayed = augmented(plant, [place(plant, eoi.effects.InputDelay(), 0)], {"input_delay": 0.03})
-    with pytest.raises(ValueError, match="`plant` must be a model without delays or lags"):
-        eoi.OnlineEstimator(delayed, observer, eoi.LowPass(8.0, 3), H)
+    twice = augmented(plant, [place(plant, Doubled(), 0)], {})
+    with pytest.raises(ValueError, match="`doubled` must have `memory` and `step` to run sample"):
+        eoi.OnlineEstimator(twice, observer, eoi.LowPass(8.0, 3), H)
+
+
+def test_states_that_change_at_samples_are_refused():
+    plant, observer = make("heated")
+    last = SampledStates(lambda t, x, u, p: u, 1, H)
+    sampled = eoi.Plant(heated, plant.parameters, 1, internal=store, internal_initial=[0.0],
+                        sampled=last)  # fmt: skip
+    with pytest.raises(ValueError, match="`plant` must have no states that change at samples"):
+        eoi.OnlineEstimator(sampled, observer, eoi.LowPass(8.0, 2), H)
 
 
 def test_a_model_that_is_no_arithmetic_is_refused(tmp_path):

@@ -24,6 +24,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
+from eoi_jax._checks import check
 from eoi_jax.compiler.programs import jit
 from eoi_jax.models.plant import Plant
 
@@ -245,9 +246,11 @@ class AbstractActuator(AbstractEffect):
 
     Attributes:
         keeps_steps: whether a held input comes out held, as from a delay; else as a continuous one.
+        keeps_inputs: whether its memory is past inputs alone, whatever the shape; else it follows.
     """
 
     keeps_steps: ClassVar[bool] = False
+    keeps_inputs: ClassVar[bool] = False
 
     def channels(self, plant: Plant) -> tuple[str, ...]:
         return plant.inputs
@@ -270,6 +273,33 @@ class AbstractActuator(AbstractEffect):
     ) -> Float[np.ndarray, "grid S"]:
         """`along` of measured arrays for several shapes; subclasses may override it with NumPy."""
         return np.asarray(_sampled(self, time, u, shapes))
+
+    def memory(self, period: float, shape: Any) -> int:
+        """Number of values that `step` remembers; all are u where the input was always u.
+
+        Args:
+            period: of the steps [s].
+            shape: the shape parameters, numbers.
+        """
+        del period, shape
+        rule = "must have `memory` and `step` to run sample by sample"
+        check(False, self.name, rule, type(self).__name__)
+        return 0
+
+    def step(self, memory: Any, u: Any, period: Any, shape: Any) -> tuple[Any, Any]:
+        """One step of `along`, for a record that is not known in advance.
+
+        Args:
+            memory: before it, shape (memory,).
+            u: mean of the input over the step.
+            period: of the steps [s].
+            shape: the shape parameters.
+
+        Returns:
+            The memory after it, and the mean of the input of the model over the step.
+        """
+        del period, shape
+        return memory, u
 
 
 @jit

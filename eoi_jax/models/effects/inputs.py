@@ -121,14 +121,15 @@ class ActuatorLag(AbstractActuator):
 
     def along(self, time: Any, u: Any, shape: Any) -> Any:
         # Exact for a staircase: z decays towards u in each step; the mean over it is returned.
-        period = time[1] - time[0]
-        decay = _decay(shape[0], period, jnp)
-        late = (1.0 - decay) * shape[0] / period
+        decay, late = _lag_factors(shape[0], time[1] - time[0], jnp)
+        return jax.lax.scan(lambda z, u: _lagged(z, u, decay, late), u[0], u)[1]
 
-        def step(z: Any, u: Any) -> tuple[Any, Any]:
-            return u + (z - u) * decay, u + (z - u) * late
+    def memory(self, period: float, shape: Any) -> int:
+        return 1
 
-        return jax.lax.scan(step, u[0], u)[1]
+    def step(self, memory: Any, u: Any, period: Any, shape: Any) -> tuple[Any, Any]:
+        state, mean = _lagged(memory[0], u, *_lag_factors(shape[0], period, jnp))
+        return state[None], mean
 
     def sampled(
         self, time: Float[np.ndarray, " S"], u: Float[np.ndarray, " S"], shapes: Grid
@@ -136,8 +137,7 @@ class ActuatorLag(AbstractActuator):
         period = time[1] - time[0]
         signals = []
         for (lag,) in shapes:
-            decay = _decay(lag, period, np)
-            late = (1.0 - decay) * lag / period
+            decay, late = _lag_factors(lag, period, np)
             end_of_step = states(
                 np.full((1, 1), decay), np.full(1, 1.0 - decay), u[:, None], u[:1, None]
             )
@@ -166,6 +166,14 @@ class InputRate(AbstractActuator):
         lag = jnp.maximum(shape[1], _SHORTEST * (time[1] - time[0]))
         return u + shape[0] / lag * (u - ActuatorLag().along(time, u, [lag]))
 
+    def memory(self, period: float, shape: Any) -> int:
+        return 1
+
+    def step(self, memory: Any, u: Any, period: Any, shape: Any) -> tuple[Any, Any]:
+        lag = jnp.maximum(shape[1], _SHORTEST * period)
+        memory, late = ActuatorLag().step(memory, u, period, [lag])
+        return memory, u + shape[0] / lag * (u - late)
+
     def sampled(
         self, time: Float[np.ndarray, " S"], u: Float[np.ndarray, " S"], shapes: Grid
     ) -> Float[np.ndarray, "grid S"]:
@@ -173,9 +181,15 @@ class InputRate(AbstractActuator):
         return u + shapes[:, :1] / lags * (u - ActuatorLag().sampled(time, u, lags))
 
 
-def _decay(lag: Any, period: Any, xp: Any) -> Any:
-    """exp(-h/T) of a lag with time constant T."""
-    return xp.exp(-period / xp.maximum(lag, _SHORTEST * period))
+def _lag_factors(lag: Any, period: Any, xp: Any) -> tuple[Any, Any]:
+    """exp(-h/T) of a lag with time constant T, and its mean over a step."""
+    decay = xp.exp(-period / xp.maximum(lag, _SHORTEST * period))
+    return decay, (1.0 - decay) * lag / period
+
+
+def _lagged(z: Any, u: Any, decay: Any, late: Any) -> tuple[Any, Any]:
+    """The state of a lag at the end of a step, and its mean over it."""
+    return u + (z - u) * decay, u + (z - u) * late
 
 
 class InputDelay(AbstractActuator):
@@ -186,6 +200,7 @@ class InputDelay(AbstractActuator):
     shapes = (Parameter("", "s", lower=0.0),)
     depends_on = "t"
     keeps_steps = True
+    keeps_inputs = True
 
     def grid(self, seen: Seen) -> Grid:
         # Minima of the cost over delays are narrow (a quarter period of the band): long delays are
@@ -203,6 +218,16 @@ class InputDelay(AbstractActuator):
         late = jnp.arange(len(u)) - whole_steps.astype(int)
         current, previous = u[jnp.maximum(late, 0)], u[jnp.maximum(late - 1, 0)]
         return current + (steps - whole_steps) * (previous - current)
+
+    def memory(self, period: float, shape: Any) -> int:
+        return int(np.floor(shape[0] / period)) + 1
+
+    def step(self, memory: Any, u: Any, period: Any, shape: Any) -> tuple[Any, Any]:
+        whole_steps = len(memory) - 1  # those of `memory`, of which the shape may have moved a bit
+        inputs = jnp.concatenate([jnp.reshape(u, (1,)), memory])
+        current, previous = inputs[whole_steps], inputs[whole_steps + 1]
+        share = shape[0] / period - whole_steps
+        return inputs[:-1], current + share * (previous - current)
 
     def sampled(
         self, time: Float[np.ndarray, " S"], u: Float[np.ndarray, " S"], shapes: Grid

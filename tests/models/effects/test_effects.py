@@ -410,6 +410,27 @@ def test_slope_of_an_actuator_with_its_time_is_that_of_differences(
     np.testing.assert_allclose(slope, expected, rtol=1e-4, atol=1e-4 * np.max(np.abs(expected)))
 
 
+@pytest.mark.parametrize(
+    ("effect", "shape"),
+    [(effects.InputDelay(), [0.0004]), (effects.InputDelay(), [0.0573]),
+     (effects.ActuatorLag(), [0.0004]), (effects.ActuatorLag(), [0.0573]),
+     (effects.InputRate(), [-0.02, 0.0573]), (effects.InputRate(), [0.02, 0.0])],
+)  # fmt: skip
+def test_an_actuator_step_by_step_is_that_along_a_record(
+    effect: AbstractActuator, shape: list[float]
+):
+    h = 0.01
+    u = np.random.default_rng(6).standard_normal(300)
+    along = jit(effect.along)(h * np.arange(len(u)), u, np.asarray(shape))
+    start = jnp.full(effect.memory(h, shape), u[0])
+
+    def step(memory: Any, u: Any) -> tuple[Any, Any]:
+        return effect.step(memory, u, h, jnp.asarray(shape))
+
+    _, stepped = jax.lax.scan(step, start, jnp.asarray(u))
+    np.testing.assert_allclose(stepped, along, atol=1e-13)
+
+
 @pytest.mark.parametrize("effect", [effects.InputDelay(), effects.ActuatorLag()], ids=label)
 def test_effect_in_time_vanishes_with_its_time(effect: AbstractActuator):
     time = np.arange(0.0, 1.0, 0.01)
