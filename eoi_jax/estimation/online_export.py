@@ -25,6 +25,8 @@ from eoi_jax.models.export.files import write_content
 from eoi_jax.models.export.names import comment, identifier
 from eoi_jax.models.export.program import Program, Variable
 
+_UNDELAYED = """
+ * Delays and lags of inputs are part of the state: pass inputs as they are sent."""
 PRECISIONS = {"double": DOUBLE, "single": SINGLE}
 
 _TEXT = """\
@@ -35,7 +37,7 @@ _TEXT = """\
  *
  * {name}_init once, then {name}_step at every sample, each {period:.9g} s:
  *   outputs[{ny}]: {outputs}, as measured at the sample; NaN where one is missing
- *   inputs[{nu}]: {inputs}, as they are from the sample on
+ *   inputs[{nu}]: {inputs}, as they are from the sample on{undelayed}
  * Nothing is allocated, and every call does the same operations. NaN needs a compiler without
  * -ffast-math. Parameters, at the start:
 {parameters}
@@ -137,6 +139,7 @@ def estimator_text(estimator: OnlineEstimator, name: str, precision: str = "doub
     parameters = enumerate(zip(plant.names, estimator.theta, strict=True))
     return _TEXT.format(
         model=comment(plant.name),
+        undelayed=_UNDELAYED if estimator.inputs.stages else "",
         with_alarm=", alarm" if estimator.alarm is not None else "",
         version=version_of("eoi_jax"),
         precision=precision,

@@ -422,6 +422,14 @@ def test_the_exported_estimator_is_ours_step_by_step(name, precision, tolerance,
         np.testing.assert_allclose(theirs[:, -2], online.power, rtol=1e-9)
 
 
+def test_the_file_says_that_delays_are_in_it():
+    plant, observer, _ = acted("delay")
+    estimator = eoi.OnlineEstimator(plant, observer, eoi.LowPass(8.0, 3), H)
+    sentence = "Delays and lags of inputs are part of the state: pass inputs as they are sent."
+    assert sentence in estimator_text(estimator, "rig")
+    assert sentence not in estimator_text(alarmed("oscillator"), "rig")
+
+
 def test_an_estimator_without_an_alarm_is_exported_too(tmp_path):
     estimator, _ = estimator_of("oscillator")
     record = recorded(estimator.plant)
