@@ -26,7 +26,6 @@ from jaxtyping import Float
 
 from eoi_jax.compiler.pointwise import along, slopes_along
 from eoi_jax.data.record import Record
-from eoi_jax.estimation.regression.orthonormal import orthonormal
 from eoi_jax.estimation.regression.robust_covariance import correlation_time
 from eoi_jax.models.augmented import Placed
 from eoi_jax.models.effects.effect import (
@@ -40,6 +39,7 @@ from eoi_jax.models.effects.effect import (
 )
 from eoi_jax.models.plant import Plant, State
 from eoi_jax.refinement.free_run_sums import signals
+from eoi_jax.refinement.own_unknowns import OwnUnknowns
 from eoi_jax.refinement.problem import Problem, Unknowns, driven, problem_of, weighed
 from eoi_jax.refinement.result import Refinement
 from eoi_jax.refinement.spans import Span
@@ -99,7 +99,7 @@ class LinearisedRuns:
         problem: its runs.
         stages: times, inputs, y (runs, samples, 3, r, ny) and z (runs, samples, 3, nz) of each
             run at the start, the middle and the end of each sample.
-        basis: columns of the model's own unknowns, orthonormal.
+        own: what the model's own unknowns can do to the errors.
         residual: r less these.
         records: of the runs.
         response: of the runs, to small forces.
@@ -108,7 +108,7 @@ class LinearisedRuns:
     plant: Plant
     problem: Problem
     stages: tuple[Any, ...]
-    basis: Columns
+    own: OwnUnknowns
     residual: Float[np.ndarray, " rows"]
     records: tuple[Record, ...]
     response: Response
@@ -125,16 +125,15 @@ class LinearisedRuns:
         theta = jnp.asarray(plant.theta)[np.asarray(kernel.free)]
         unknowns = Unknowns(theta, jnp.asarray(np.stack(starts)))
         sensitivities = _flat(signals(unknowns, problem))
-        columns = _wide(sensitivities[..., :-1], unknowns.starts.shape[1])
-        basis = orthonormal(columns, _SETTINGS.rank_tolerance)
-        residual = sensitivities[..., -1].ravel()
-        residual = residual - basis @ (basis.T @ residual)
+        size = unknowns.starts.shape[1]
+        own = OwnUnknowns.of(sensitivities[..., :-1], size, _SETTINGS.rank_tolerance)
+        residual = own.removed_from(sensitivities[..., -1].reshape(-1, 1))[:, 0]
         time, inputs, y, z = _steps(problem, unknowns)
         response = response_of(
             plant, time, inputs, y[:, :-1], z[:, :-1], np.asarray(problem.steps), substeps
         )
         stages = _stages(problem, inputs, y, z)
-        return cls(plant, problem, stages, basis, residual, tuple(records), response)
+        return cls(plant, problem, stages, own, residual, tuple(records), response)
 
     def signal_statistics(self, placed: Placed) -> Seen:
         """What the grids of shapes start from."""
@@ -173,7 +172,7 @@ class LinearisedRuns:
                 return []
             columns = self._columns(forces)
         power = np.sum(columns**2, axis=0)
-        columns = columns - self.basis @ (self.basis.T @ columns)
+        columns = self.own.removed_from(columns)
         remaining_power = np.sum(columns**2, axis=0)
         new = np.isfinite(remaining_power) & (remaining_power > _SETTINGS.min_new * power)
         count = columns.shape[1] // len(grid)
@@ -208,39 +207,50 @@ class LinearisedRuns:
             shares[i[same_size], j[same_size]] = np.einsum(
                 "pa,pab,pb->p", products[column_numbers], inverse, products[column_numbers]
             )
-        return shares / float(self.residual @ self.residual)
+        return shares / self._power
 
     def share(self, tries: Sequence["Try"]) -> float | None:
         """Share of the residual's power that some effects explain; None where not physical then."""
-        values, after = self._fitted(tries)
-        return None if values is None else self._share(after)
+        gains, explained = self._fitted(tries)
+        return None if self._named(tries, gains) is None else explained / self._power
 
     def candidate(self, tries: Sequence["Try"], number_of_tries: int) -> Candidate | None:
         """Least squares of the residual on some effects; None where they are not physical then."""
-        values, after = self._fitted(tries)
+        gains, explained = self._fitted(tries)
+        values = self._named(tries, gains)
         if values is None:
             return None
-        share = self._share(after)
+        share = explained / self._power
+        after = self.residual - np.concatenate([t.columns for t in tries], axis=1) @ gains
         count = sum(max(len(attempt.placed.effect.parameters), 1) for attempt in tries)
         chance = _chance(share, after, len(self.plant.outputs), count)
         placed = tuple(attempt.placed for attempt in tries)
         return Candidate(placed, values, share, min(number_of_tries * chance, 1.0))
 
-    def _share(self, after: Float[np.ndarray, " rows"]) -> float:
-        return 1.0 - float(after @ after) / float(self.residual @ self.residual)
+    @cached_property
+    def _power(self) -> float:
+        """Sum of the squares of the residual."""
+        return float(self.residual @ self.residual)
 
-    def _fitted(self, tries: Sequence["Try"]) -> tuple[dict[str, float] | None, np.ndarray]:
-        """Parameters by least squares, and the residual that they leave."""
-        columns = np.concatenate([attempt.columns for attempt in tries], axis=1)
-        inverse = np.linalg.pinv(columns.T @ columns, rcond=1e-12, hermitian=True)
-        gains = inverse @ (columns.T @ self.residual)
-        after, values = self.residual - columns @ gains, {}
+    def _fitted(self, tries: Sequence["Try"]) -> tuple[Float[np.ndarray, " gains"], float]:
+        """Gains by least squares, and the sum of squares that they take from the residual."""
+        columns = [attempt.columns for attempt in tries]
+        square = np.block([[one.T @ other for other in columns] for one in columns])
+        products = np.concatenate([one.T @ self.residual for one in columns])
+        gains = np.linalg.pinv(square, rcond=1e-12, hermitian=True) @ products
+        return gains, float(gains @ products)
+
+    def _named(
+        self, tries: Sequence["Try"], gains: Float[np.ndarray, " gains"]
+    ) -> dict[str, float] | None:
+        """Parameters of these gains by name; None where they are not physical."""
+        values: dict[str, float] = {}
         for attempt in tries:
             own_gains, gains = gains[: attempt.columns.shape[1]], gains[attempt.columns.shape[1] :]
             if not attempt.physical(own_gains):
-                return None, after
+                return None
             values |= attempt.named(own_gains)
-        return values, after
+        return values
 
     def _forces(self, placed: Placed, shape: np.ndarray) -> list[np.ndarray]:
         """What the effect adds to y^(r) along the runs for each gain, (runs, samples, 3, ny)."""
@@ -427,17 +437,6 @@ def _as_rows(array: np.ndarray) -> np.ndarray:
 
 def _flat(sensitivities: np.ndarray) -> Float[np.ndarray, "runs rows size"]:
     return sensitivities.reshape(len(sensitivities), -1, sensitivities.shape[-1])
-
-
-def _wide(columns: np.ndarray, start_size: int) -> Columns:
-    """Columns of all unknowns over all rows: each start in the rows of its run alone."""
-    runs, rows = columns.shape[:2]
-    wide = np.zeros((runs * rows, runs * start_size + columns.shape[2] - start_size))
-    for i, run_columns in enumerate(columns):
-        part = slice(i * rows, (i + 1) * rows)
-        wide[part, i * start_size : (i + 1) * start_size] = run_columns[:, :start_size]
-        wide[part, runs * start_size :] = run_columns[:, start_size:]
-    return wide
 
 
 def _chance(share: float, after: np.ndarray, ny: int, parameters: int) -> float:
