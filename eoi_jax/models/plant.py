@@ -18,6 +18,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Float
 
 from eoi_jax._checks import check, check_choice, check_kind, counted, is_whole, real
+from eoi_jax._display import text
 from eoi_jax._types import WHERE_SET, Input, Output, Regressor, Scalar
 from eoi_jax.compiler.jax_private import Tracer, inputs_read
 from eoi_jax.compiler.pointwise import along
@@ -165,13 +166,9 @@ class Plant(eqx.Module):
         ):
             rule, pair = "must be (lower, upper) with lower < upper", (float(low), float(high))
             check(bool(low < high), f"bounds[{key}]", rule, pair)
-            check(
-                bool(low <= value <= high),
-                f"parameters[{key}]",
-                f"must lie in its bounds [{low:g}, {high:g}]",
-                float(value),
-                "Move the nominal value or widen the bounds.",
-            )
+            rule = f"must lie in its bounds [{low:g}, {high:g}]"
+            advice = "Move the nominal value or widen the bounds."
+            check(bool(low <= value <= high), f"parameters[{key}]", rule, float(value), advice)
         self.degrees = _degrees(relative_degree, len(self.outputs))
         self.start_items = checked_starts(initial, self.outputs, self.degrees)
         self.internal_initial = internal_start_of(internal, internal_initial)
@@ -298,6 +295,9 @@ class Plant(eqx.Module):
             sampled=self.sampled,
             initial=self.initial if initial is None else initial,
         )
+
+    def __repr__(self) -> str:
+        return text(self)
 
     # -- equations ------------------------------------------------------------------------
 

@@ -12,6 +12,7 @@ from eoi_jax.discovery.diagnosis import Diagnosis
 from eoi_jax.discovery.result import Discovery
 from eoi_jax.estimation.identify import Identification
 from eoi_jax.estimation.parameter_history import ParameterHistory
+from eoi_jax.models.plant import Plant
 from eoi_jax.models.stored_classes import stored_form
 from eoi_jax.refinement.remaining import Remaining
 from eoi_jax.refinement.result import Refinement
@@ -23,6 +24,7 @@ from eoi_jax.report.estimate_figures import profile_figure, refinement_figure, u
 from eoi_jax.report.figures import identification_figure, record_figure, validation_figure
 from eoi_jax.report.inspection import inspection_figure, inspection_text
 from eoi_jax.report.parameter_history import history_figure, history_text
+from eoi_jax.report.plant import plant_text
 from eoi_jax.report.record import record_text
 from eoi_jax.report.remaining import remaining_figure, remaining_text
 from eoi_jax.report.tables import (
@@ -37,6 +39,7 @@ from eoi_jax.uncertainty.profile_likelihood import Profile
 from eoi_jax.uncertainty.uncertainty import Uncertainty
 
 TABLES: dict[type, Callable] = {
+    Plant: plant_text,
     Record: record_text,
     Inspection: inspection_text,
     Identification: identification_text,
