@@ -12,8 +12,9 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
-from eoi_jax._checks import check, check_choice, check_kind, check_shape
+from eoi_jax._checks import check, check_choice, check_kind, check_positive, check_shape
 from eoi_jax._types import Scalar
+from eoi_jax.compiler.jax_private import Tracer
 from eoi_jax.compiler.programs import jit
 from eoi_jax.data.input_holds import TRACED_HOLDS
 from eoi_jax.data.masks import beyond_starts, moved_steps, tapered
@@ -83,7 +84,7 @@ def observe(
         observer: with its gains, numbers or traced arrays.
         theta: parameter values: an array (np,) in the plant's order, a dict by name (the others are
             the plant's), or None for the plant's own.
-        h: sample period [s].
+        h: sample period [s]; where JAX traces it, its sign is not checked.
         y: outputs at the samples, shape (N, ny), for a single output (N,).
         u: inputs at the samples, shape (N, nu), for a single input (N,); (N, 0) without inputs.
         lowpass: F. By default its cut-off is a tenth of the sampling rate, 0.2 π/h [rad/s], and its
@@ -103,7 +104,7 @@ def observe(
         Signals, sums and index.
 
     Raises:
-        ValueError: a wrong shape, an observer that does not match the plant, an unknown name or
+        ValueError: a wrong shape, h ≤ 0, an observer that does not match the plant, an unknown name or
             hold, or a plant whose states change at samples.
 
     Source:
@@ -111,6 +112,8 @@ def observe(
     """
     check_kind("plant", plant, Plant, "a Plant")
     check_observer(plant, observer)
+    if not isinstance(h, Tracer):
+        check_positive("h", h, "It is the sample period in seconds.")
     check_choice("hold", hold, TRACED_HOLDS)
     check_kind("lowpass", lowpass, (LowPass, type(None)), "a filter `LowPass(cutoff, order)`")
     rule = "must have no states that change at samples: passes do not follow them"

@@ -7,6 +7,7 @@ import numpy as np
 from jaxtyping import Float
 
 from eoi_jax._checks import check, check_choice, check_kind, counted, real
+from eoi_jax.compiler.jax_private import Tracer
 
 # By output: its value at the start of a record, then those of its derivatives; None: not known.
 StartItems = tuple[tuple[str, tuple[float | None, ...]], ...]
@@ -35,21 +36,55 @@ def checked_starts(
     check_kind("initial", initial, Mapping, "a dict by output")
     items = []
     for name, value in initial.items():
-        check_choice("initial", name, outputs)
+        numbers = _values_of(name, value, outputs, degrees)
         degree = degrees[list(outputs).index(name)]
-        field, is_sequence = f"initial[{name}]", isinstance(value, Sequence | np.ndarray)
-        values = tuple(value) if is_sequence and not isinstance(value, str) else (value,)
-        check(degree > 0, field, "must be left out: the output is a function of the states", value,
-              "Give the starts of these states with `internal_initial`.")  # fmt: skip
-        rule = f"must be at most {counted(degree, 'value')}: the output, then its derivatives"
-        rule += " below the highest"
-        check(0 < len(values) <= degree, field, rule, value, _FORM)
-        numbers = [None if number is None else real(number) for number in values]
-        good = all(number is None or np.isfinite(number) for number in numbers)
-        check(good, field, "must hold finite numbers, or None for what is not known", value, _FORM)
         if any(number is not None for number in numbers):
             items.append((name, (*numbers, *[None] * (degree - len(numbers)))))
     return tuple(items)
+
+
+def _values_of(name: str, value: Any, outputs: Sequence[str], degrees: Sequence[int]) -> list[Any]:
+    """The start of an output, and of its derivatives, as far as given: finite, traced or None."""
+    check_choice("initial", name, outputs)
+    degree = degrees[list(outputs).index(name)]
+    field = f"initial[{name}]"
+    is_sequence = isinstance(value, Sequence) or getattr(value, "ndim", 0) > 0
+    values = tuple(value) if is_sequence and not isinstance(value, str) else (value,)
+    check(degree > 0, field, "must be left out: the output is a function of the states", value,
+          "Give the starts of these states with `internal_initial`.")  # fmt: skip
+    rule = f"must be at most {counted(degree, 'value')}: the output, then its derivatives"
+    rule += " below the highest"
+    check(0 < len(values) <= degree, field, rule, value, _FORM)
+    passed = (type(None), Tracer)
+    numbers = [number if isinstance(number, passed) else real(number) for number in values]
+    good = all(isinstance(number, passed) or np.isfinite(number) for number in numbers)
+    check(good, field, "must hold finite numbers, or None for what is not known", value, _FORM)
+    return numbers
+
+
+def start_by_name(
+    initial: Mapping[str, Any],
+    outputs: Sequence[str],
+    degrees: Sequence[int],
+    table: Float[np.ndarray, "rows ny"],
+) -> list[list[Any]]:
+    """A start that is given by output, as rows of `State.y`.
+
+    Args:
+        initial: as of `Plant`; values may be numbers that JAX traces.
+        outputs: names.
+        degrees: relative degree of each.
+        table: what holds for states that are not given.
+
+    Raises:
+        ValueError: as `checked_starts`.
+    """
+    rows: list[list[Any]] = table.tolist()
+    for name, value in initial.items():
+        for row, number in enumerate(_values_of(name, value, outputs, degrees)):
+            if number is not None:
+                rows[row][list(outputs).index(name)] = number
+    return rows
 
 
 def start_table(

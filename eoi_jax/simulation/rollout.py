@@ -5,8 +5,9 @@ from typing import Any
 import jax.numpy as jnp
 import numpy as np
 
-from eoi_jax._checks import check, check_choice, check_kind, check_shape
+from eoi_jax._checks import check, check_choice, check_kind, check_positive, check_shape
 from eoi_jax._types import Scalar
+from eoi_jax.compiler.jax_private import Tracer
 from eoi_jax.data.input_holds import TRACED_HOLDS
 from eoi_jax.models.plant import Plant, State
 from eoi_jax.simulation.integrator import free_run, frictional
@@ -36,10 +37,10 @@ def rollout(
         theta: parameter values: an array (np,) in the plant's order, a dict by name (the others are
             the plant's), or None for the plant's own.
         x0: state at the first sample: outputs and their derivatives, shape (r, ny), for a single
-            output (r,); a `State`, which has internal states too; None for the plant's known
-            starts, and zeros.
+            output (r,), or by name, ``{"angle": (0.1, 0.0)}``; a `State`, which has internal states
+            too; None for the plant's known starts, and zeros.
         u: inputs at the samples, shape (N, nu), for a single input (N,); (N, 0) without inputs.
-        h: sample period [s].
+        h: sample period [s]; where JAX traces it, its sign is not checked.
         hold: inputs between samples: ``"zero"`` (held) or ``"linear"``.
         substeps: Runge-Kutta steps per sample. `simulate` chooses their number by itself, this
             function does not: see that more do not change the result.
@@ -50,11 +51,13 @@ def rollout(
         of shape (N, nz). Where the run leaves the finite numbers, so do they.
 
     Raises:
-        ValueError: a wrong shape, an unknown name or hold, less than one sub-step, or dry friction
+        ValueError: a wrong shape, h ≤ 0, an unknown name or hold, less than one sub-step, or dry friction
             that the simulation does not cover.
     """
     check_kind("plant", plant, Plant, "a Plant")
     check_choice("hold", hold, TRACED_HOLDS)
+    if not isinstance(h, Tracer):
+        check_positive("h", h, "It is the sample period in seconds.")
     values = jnp.asarray((plant if theta is None else plant.with_parameters(theta)).theta, float)
     inputs = jnp.asarray(u, float)
     inputs = inputs[:, None] if inputs.ndim == 1 else inputs

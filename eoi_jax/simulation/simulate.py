@@ -3,7 +3,7 @@
 Integrated by `trajectory`, or, for smooth plants, by diffrax as an independent route.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from typing import Any
 
 import jax
@@ -31,6 +31,7 @@ from eoi_jax.data.input_holds import (
 from eoi_jax.data.record import Record
 from eoi_jax.data.resampling import acting_inputs, inputs_within_steps
 from eoi_jax.models.jacobians import has_sampled_actuator
+from eoi_jax.models.known_starts import start_by_name
 from eoi_jax.models.plant import Plant, State, keeps_steps
 from eoi_jax.simulation.chained_runs import outputs_of
 from eoi_jax.simulation.integrator import (
@@ -64,9 +65,10 @@ def simulate(
         plant: the plant, with the parameters to use.
         time: uniform grid, shape (N,) [s].
         inputs: shape (N,) or (N, nu).
-        initial: the outputs and their derivatives at ``time[0]``, shape (r, ny); for one output
-            (r,) or the output alone. By default the plant's known starts, and zeros. Outputs of
-            relative degree 0 have none: what is given for them is not read.
+        initial: the outputs and their derivatives at ``time[0]``: by name, ``{"angle": (0.1, 0.0)}``
+            or ``{"angle": 0.1}``, or an array (r, ny), for one output (r,) or the output alone.
+            By default, and for what is not named, the plant's known starts, and zeros. Outputs of
+            relative degree 0 have none: what an array has for them is not read.
         hold: the input between samples: ``"zero"`` (held), ``"linear"``, ``"smooth"`` (quintic
             spline), or ``"auto"``: zero if it is piecewise constant, else linear. One word for all
             inputs, or one for each: by name, or in order.
@@ -81,7 +83,7 @@ def simulate(
         Record with `time`, `inputs` and the simulated outputs.
 
     Raises:
-        ValueError: a wrong shape, a grid that is not uniform, dry friction with the adaptive
+        ValueError: a wrong shape, an unknown output, a grid that is not uniform, dry friction with the adaptive
             solver, a trajectory that is not finite (with the first time at which it is not), or
             numbers that JAX traces, of which `rollout` makes a free run.
     """
@@ -373,10 +375,18 @@ def initial_outputs(plant: Plant, initial: Any, xp: Any = np) -> Float[Any, "r n
         xp: NumPy, or JAX's for traced numbers.
 
     Raises:
-        ValueError: a wrong shape.
+        ValueError: a wrong shape, an unknown output, or no numbers.
     """
     r, ny = plant.rows, len(plant.outputs)
-    value = xp.asarray(np.nan_to_num(plant.known_start) if initial is None else initial, float)
+    table = np.nan_to_num(plant.known_start)
+    if isinstance(initial, Mapping):
+        initial = start_by_name(initial, plant.outputs, plant.degrees, table)
+    try:
+        value = xp.asarray(table if initial is None else initial, float)
+    except (TypeError, ValueError):
+        rule = f"must be numbers of shape ({r}, {ny}) or a dict by output"
+        check(False, "initial", rule, initial, f"Write {{{plant.outputs[0]!r}: (value, rate, …)}}.")
+        raise
     if ny == 1 and value.shape == ():
         value = xp.concatenate([value[None], xp.zeros(r - 1)])
     if ny == 1 and value.shape == (r,):

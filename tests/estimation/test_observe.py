@@ -314,6 +314,7 @@ RIGHT = {"plant": SMOOTH, "observer": SECOND, "theta": None, "h": H, "y": INPUT,
 @pytest.mark.parametrize(
     ("wrong", "message"),
     [
+        ({"h": -0.01}, "`h` must be positive and finite, got -0.01"),
         ({"observer": FIRST}, "`observer` must have the relative degree of the plant's outputs"),
         ({"y": np.ones((500, 2))}, r"`y` must have shape \(any, 1\): one row a sample"),
         ({"y": np.ones((500, 2, 1))}, r"Outputs of `rollout` are `.y\[:, 0\]`; several records"),

@@ -172,6 +172,9 @@ def test_simulate_in_traced_code_names_rollout(transform):
     ("arguments", "message"),
     [
         ((SMOOTH, None, None, np.ones((5, 2)), H), r"`u` must have shape \(any, 1\)"),
+        ((SMOOTH, None, None, INPUT, 0.0), "`h` must be positive and finite, got 0.0"),
+        ((SMOOTH, None, None, INPUT, -H), "`h` must be positive and finite, got -0.01"),
+        ((SMOOTH, None, {"angle": 1.0}, INPUT, H), "`initial` must be one of position, got"),
         ((SMOOTH, None, None, np.ones(1), H), "`u` must have at least two samples, got 1"),
         ((SMOOTH, None, np.ones(3), INPUT, H), r"`initial` must have shape \(2, 1\)"),
         ((SMOOTH, {"kk": 1.0}, None, INPUT, H), "`parameters` must be one of"),
@@ -189,3 +192,14 @@ def test_a_wrong_hold_or_number_of_steps_is_named():
         eoi.rollout(SMOOTH, None, None, INPUT, H, hold="smooth")
     with pytest.raises(ValueError, match="`substeps` must be an integer ≥ 1, got 0"):
         eoi.rollout(SMOOTH, None, None, INPUT, H, substeps=0)
+
+
+def test_a_start_by_name_is_that_of_the_array_and_has_its_derivative():
+    def end(position):
+        start = {"position": (position, 0.3)}
+        return eoi.rollout(SMOOTH, None, start, INPUT, H).y[-1, 0, 0]
+
+    array = eoi.rollout(SMOOTH, None, [0.2, 0.3], INPUT, H).y[-1, 0, 0]
+    assert jax.jit(end)(0.2) == pytest.approx(float(array), rel=1e-12)
+    slope = (float(end(1.2)) - float(end(-0.8))) / 2.0  # the plant is linear
+    assert float(jax.grad(end)(0.2)) == pytest.approx(slope, rel=1e-9)

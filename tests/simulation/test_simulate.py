@@ -7,6 +7,7 @@ import pytest
 from problems import stiff_response
 from scipy.integrate import solve_ivp
 
+import eoi_jax as eoi
 from eoi_jax.compiler.programs import jit
 from eoi_jax.models.library import (
     Plant,
@@ -694,3 +695,30 @@ def test_internal_states_go_on_while_friction_reaches_another_output():
     start = np.zeros((2, 3))
     found = simulate(plant, time, np.sign(np.sin(4.0 * time)), start).outputs[:, 2]
     np.testing.assert_allclose(found, time - 1.0 + np.exp(-time), atol=1e-10)
+
+
+def test_a_start_by_name_fills_up_known_starts_and_zeros():
+    plant = eoi.plants.three_mass_spring_damper().declared_anew(
+        initial={"position_2": (None, 0.5), "position_3": 0.1}
+    )
+    time, force = np.arange(0.0, 0.5, 0.01), np.zeros(50)
+    start = {"position_1": 0.2, "position_3": (0.3, -1.0)}
+    by_name = eoi.simulate(plant, time, force, initial=start)
+    by_array = eoi.simulate(plant, time, force, initial=[[0.2, 0.0, 0.3], [0.0, 0.5, -1.0]])
+    np.testing.assert_array_equal(by_name.outputs, by_array.outputs)
+
+
+@pytest.mark.parametrize(
+    ("initial", "message"),
+    [
+        ({"positon": 0.1}, r"`initial` must be one of position, got 'positon'. Did you mean"),
+        ({"position": (1.0, 2.0, 3.0)}, r"`initial\[position\]` must be at most 2 values"),
+        ({"position": "0.1"}, r"`initial\[position\]` must hold finite numbers"),
+        ("rest", r"`initial` must be numbers of shape \(2, 1\) or a dict by output, got rest"),
+        (object, r"Write \{'position': \(value, rate, …\)\}"),
+    ],
+)
+def test_a_wrong_start_says_what_is_expected(initial, message):
+    time = np.arange(0.0, 0.5, 0.01)
+    with pytest.raises(ValueError, match=message):
+        eoi.simulate(eoi.plants.mass_spring_damper(), time, np.zeros(50), initial=initial)
