@@ -4,6 +4,8 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from eoi_jax._atomic import write_folder
 from eoi_jax._checks import check
 from eoi_jax.cli import build, run_folder
@@ -11,6 +13,8 @@ from eoi_jax.cli.config import Config, LawTable, load
 from eoi_jax.cli.summary import comparison_summary, validation_summary
 from eoi_jax.cli.terminal import Outcome, ProgressCallback
 from eoi_jax.compiler import jax_setup
+from eoi_jax.data.holds import skew_text
+from eoi_jax.data.input_holds import hold_text
 from eoi_jax.data.record import Record
 from eoi_jax.data.windows import window_length
 from eoi_jax.estimation.holdout import longest_start
@@ -115,9 +119,11 @@ def compare(
         f"{name}\n{correlation_text(rows)}"
         for (name, _), rows in zip(named, correlations, strict=True)
     ]
-    if any(settings.controller is not None for _, settings in saved):
-        texts.append(f"Note: {_NO_LOOP}")
-    summary, text = comparison_summary(runs, validations, correlations), "\n\n".join(texts)
+    notes = [] if files else [_held_out_note(runs[0], records[0])]
+    notes += [_NO_LOOP] * any(settings.controller is not None for _, settings in saved)
+    texts += [f"Note: {note}" for note in notes]
+    summary = comparison_summary(runs, validations, correlations, notes)
+    text = "\n\n".join(texts)
     _report_stage(progress, "drawing")
     parts = ("compare", named, summary, text)
     write_folder(folder, lambda draft: run_folder.write_free_runs(draft, *parts))
@@ -185,6 +191,16 @@ def _in_windows(
     if length is None:
         return None
     return free_runs(result, records, window=length, controller=controller)
+
+
+def _held_out_note(first: Path, record: Record) -> str:
+    """Whose records these are, and how their inputs act."""
+    skew = f" ({skew_text(record, record.skew)})" if np.any(record.skew) else ""
+    return (
+        f"no data file is given: the records are those that {first} held out, with the hold of "
+        f"that run, {hold_text(record.hold, record.input_names)}{skew}. It may have chosen its "
+        "model on them; new data files are fairer"
+    )
 
 
 def _common_records(

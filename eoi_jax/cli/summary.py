@@ -231,6 +231,7 @@ def comparison_summary(
     runs: Sequence[Path],
     validations: Sequence[Validation],
     correlations: Sequence[Sequence[LargestCorrelation]],
+    notes: Sequence[str] = (),
 ) -> dict[str, Any]:
     """Several saved models on the same records as one JSON object.
 
@@ -238,6 +239,7 @@ def comparison_summary(
         runs: folder of each.
         validations: its free runs.
         correlations: of its errors.
+        notes: on the records and the comparison.
     """
     models = [
         {"run": str(run), "validation": _errors(validation), "correlations": _correlations(rows)}
@@ -248,6 +250,7 @@ def comparison_summary(
             "format": SUMMARY_FORMAT,
             "kind": "compare",
             "models": models,
+            "notes": list(notes),
             "records": [describe_record(record) for record in validations[0].records],
             "versions": versions(),
         }

@@ -104,8 +104,8 @@ def observe(
         Signals, sums and index.
 
     Raises:
-        ValueError: a wrong shape, h ≤ 0, an observer that does not match the plant, an unknown name or
-            hold, or a plant whose states change at samples.
+        ValueError: a wrong shape, h ≤ 0, an observer that does not match the plant, an unknown name
+            or hold, or a plant whose states change at samples.
 
     Source:
         Sections 3 and 4 of the paper, eqs. (2), (11), (14) and (19).

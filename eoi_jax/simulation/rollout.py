@@ -51,8 +51,8 @@ def rollout(
         of shape (N, nz). Where the run leaves the finite numbers, so do they.
 
     Raises:
-        ValueError: a wrong shape, h ≤ 0, an unknown name or hold, less than one sub-step, or dry friction
-            that the simulation does not cover.
+        ValueError: a wrong shape, h ≤ 0, an unknown name or hold, less than one sub-step, or dry
+            friction that the simulation does not cover.
     """
     check_kind("plant", plant, Plant, "a Plant")
     check_choice("hold", hold, TRACED_HOLDS)

@@ -65,8 +65,8 @@ def simulate(
         plant: the plant, with the parameters to use.
         time: uniform grid, shape (N,) [s].
         inputs: shape (N,) or (N, nu).
-        initial: the outputs and their derivatives at ``time[0]``: by name, ``{"angle": (0.1, 0.0)}``
-            or ``{"angle": 0.1}``, or an array (r, ny), for one output (r,) or the output alone.
+        initial: the outputs and their derivatives at ``time[0]``: by name, ``{"angle": 0.1}`` or
+            ``{"angle": (0.1, 0.0)}``, or an array (r, ny), for one output (r,) or the output alone.
             By default, and for what is not named, the plant's known starts, and zeros. Outputs of
             relative degree 0 have none: what an array has for them is not read.
         hold: the input between samples: ``"zero"`` (held), ``"linear"``, ``"smooth"`` (quintic
@@ -83,9 +83,9 @@ def simulate(
         Record with `time`, `inputs` and the simulated outputs.
 
     Raises:
-        ValueError: a wrong shape, an unknown output, a grid that is not uniform, dry friction with the adaptive
-            solver, a trajectory that is not finite (with the first time at which it is not), or
-            numbers that JAX traces, of which `rollout` makes a free run.
+        ValueError: a wrong shape, an unknown output, a grid that is not uniform, dry friction with
+            the adaptive solver, a trajectory that is not finite (with the first time at which it is
+            not), or numbers that JAX traces, of which `rollout` makes a free run.
     """
     check_process()
     check_kind("plant", plant, Plant, "a Plant")

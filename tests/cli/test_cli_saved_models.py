@@ -176,6 +176,15 @@ def test_without_a_file_the_records_are_those_that_the_first_run_held_out():
     assert found["models"][0]["validation"]["fit"] == stored["fit"]
 
 
+def test_without_a_file_a_note_says_whose_records_and_hold_these_are():
+    done = called("compare", "runs/good", "runs/wrong")
+    said = "the records are those that runs/good held out, with the hold of that run, "
+    assert f"Note: no data file is given: {said}" in " ".join(done.stdout.split())
+    (note,) = answer("compare", "runs/good", "runs/wrong")["notes"]
+    assert said + "zero" in note
+    assert answer("compare", "runs/good", "runs/wrong", "new.csv")["notes"] == []
+
+
 def test_runs_of_one_name_are_told_by_their_paths(folder, tmp_path):
     copy = tmp_path / "good"
     copy.mkdir()
