@@ -67,3 +67,65 @@ def role_of_name(name: str) -> str:
         if word in _INPUT or word in _OUTPUT:
             return "input" if word in _INPUT else "output"
     return ""
+
+
+# Ends of names that are units whatever stands before them.
+_ENDS = {
+    "rad/s": ("rad_s", "rad_per_s", "radps"), "rad/s²": ("rad_s2",),
+    "deg/s": ("deg_s", "deg_per_s"), "m/s": ("m_s", "m_per_s"), "m/s²": ("m_s2",),
+    "mm/s": ("mm_s",), "km/h": ("km_h", "kmh"), "l/min": ("l_min",), "m³/s": ("m3_s",),
+    "m³/h": ("m3_h",), "kg/s": ("kg_s",), "N m": ("N_m", "Nm"), "°F": ("degF",),
+    "°C": ("degC", "degc", "celsius", "Celsius"), "K": ("kelvin", "Kelvin"), "A": ("amps",),
+    "V": ("volt", "volts"), "W": ("watts",), "%": ("pct", "percent", "prozent"),
+    "deg": ("degrees",), "rpm": ("RPM",),
+}  # fmt: skip
+_SPELLED = (
+    "rad/s", "rad/s²", "rad/s^2", "deg/s", "m/s", "m/s²", "m/s^2", "mm/s", "km/h", "l/min", "m³/s",
+    "m3/s", "m³/h", "m3/h", "kg/s", "1/min", "1/s", "°C", "°", "%", "mV", "kV", "mA", "kW", "mW",
+    "mm", "cm", "µm", "rpm", "Hz", "kHz", "Pa", "hPa", "kPa", "MPa", "mbar",
+)  # fmt: skip
+_UNIT_OF_END = {
+    **{spelling: unit for unit, spellings in _ENDS.items() for spelling in spellings},
+    **{unit: unit for unit in _SPELLED},
+}
+# Ends that may mean something else (motor A, gain K, x measured, solar radiation): the words before
+# them of which they are the unit.
+_WORDS_OF_END = {
+    "A": r"i|id|iq|current|strom|courant|corriente|corrente",
+    "V": r"u|v|ud|uq|volt|voltage|spannung|tension|voltaje|tensione",
+    "K": r"t|temp|temperature|temperatur|temperatura|température",
+    "C": r"temp|temperature|temperatur|temperatura|température",
+    "N": r"f|force|kraft|fuerza|forza|thrust|load",
+    "W": r"p|power|leistung|puissance|potencia|potenza|heizleistung|heating|heater|heizung",
+    "m": r"pos|position|displacement|distance|weg|lage|level|height|hoehe|höhe|pegel|niveau|nivel",
+    "bar": r"p|pressure|druck|pression|presion",
+    "rad": r"angle|pos|position|theta|phi|alpha|winkel|encoder|enc",
+    "deg": r"angle|pos|position|theta|phi|alpha|winkel|encoder|enc",
+}
+_SHOWN_END = {"C": "°C"}
+_COUNTING = ("A", "C", "N", "V")  # sensor A, B, C; number N: the word must be the one before
+
+
+def unit_of_name(name: str) -> str:
+    """The unit at the end of a name without brackets: ``voltage_V``, ``speed rad/s``; or nothing.
+
+    Units of time are left out, and a single letter counts only behind a word of its quantity:
+    ``I_A``, but not ``motor_A``.
+
+    Args:
+        name: of a column.
+    """
+    if name.rstrip()[-1:] in ("]", ")"):
+        return ""
+    parts = re.split(r"[_\s]+", name.strip())
+    for count in (3, 2, 1):
+        head, end = parts[:-count], "_".join(parts[-count:])
+        if not any(re.search(r"[^\W\d]", word) for word in head):
+            continue
+        if end in _UNIT_OF_END:
+            return _UNIT_OF_END[end]
+        words = _words("_".join(head))
+        near = words[-1:] if end in _COUNTING else words
+        if any(re.fullmatch(_WORDS_OF_END.get(end, "(?!)"), word) for word in near):
+            return _SHOWN_END.get(end, end)
+    return ""

@@ -17,7 +17,7 @@ from eoi_jax._checks import RecordWarning, check, check_choice, counted
 from eoi_jax._display import Result, text
 from eoi_jax.data.cleaning import SHORTEST
 from eoi_jax.data.clipping import saturations
-from eoi_jax.data.column_names import is_reference, role_of_name
+from eoi_jax.data.column_names import is_reference, role_of_name, unit_of_name
 from eoi_jax.data.input_holds import STAIRCASE
 from eoi_jax.data.readers.limits import MAX_GIGABYTES
 from eoi_jax.data.readers.read_record import read_table
@@ -196,8 +196,17 @@ def inspect(
     advice = tuple(_advice(channels, clock, samples))
     return Inspection(
         path, samples, clock, tuple(channels), (*left_out, *table.objects.values()),
-        table.notes, advice, numbers,
+        (*table.notes, *_unit_notes(channels, table)), advice, numbers,
     )  # fmt: skip
+
+
+def _unit_notes(channels: Sequence[Channel], table: Table) -> list[str]:
+    """Which units are no more than the ends of names."""
+    ends = [f"{channel.unit} of `{channel.name}`" for channel in channels
+            if channel.unit and not table.units.get(channel.name)]  # fmt: skip
+    more = f" and {len(ends) - 8} more" if len(ends) > 8 else ""
+    text = f"Units from the ends of the names: {', '.join(ends[:8])}{more}; nothing is converted."
+    return [text] if ends else []
 
 
 def _check_named(
@@ -291,7 +300,7 @@ def _channel(
     clock: Clock,
     numbers: Mapping[str, Float[np.ndarray, " time"]],
 ) -> Channel:
-    unit = table.units.get(key, "")
+    unit = table.units.get(key) or unit_of_name(key)
     kind = _KINDS.get(raw.dtype.kind, "text")
     if key not in numbers:
         missing = sum(value is None for value in raw.tolist())

@@ -13,7 +13,7 @@ import eoi_jax as eoi
 from eoi_jax._checks import RecordWarning
 from eoi_jax.cli import build, config
 from eoi_jax.cli.template import checked, draft
-from eoi_jax.data.column_names import stem
+from eoi_jax.data.column_names import stem, unit_of_name
 from eoi_jax.data.inspection import Inspection, _band, inspect
 
 N = 600
@@ -486,3 +486,33 @@ def test_of_several_files_the_last_is_held_out(tmp_path):
     other = written(tmp_path / "d.csv", t=T, v=U, y=Y)
     with pytest.raises(ValueError, match=r"`file` must have the column `u`, as a\.csv has"):
         draft([inspect(files[0]), inspect(other)], target)
+
+
+@pytest.mark.parametrize(
+    ("name", "unit"),
+    [
+        ("voltage_V", "V"), ("temp_degC", "°C"), ("speed rad/s", "rad/s"), ("I_A", "A"),
+        ("T_K", "K"), ("omega_rad_s", "rad/s"), ("T_innen_K", "K"), ("motorCurrent_mA", "mA"),
+        ("pwm_percent", "%"), ("speed_rpm", "rpm"), ("angle_deg", "deg"), ("accel_m_s2", "m/s²"),
+        ("rate_rad_per_s", "rad/s"), ("level_m", "m"), ("supply_volts", "V"), ("druck_bar", "bar"),
+        ("Heizleistung_kW", "kW"),
+        # ambiguous, or no unit: a motor A, a measured x, radiation, a gain, a phase, a number
+        ("motor_A", ""), ("x_m", ""), ("solar_rad", ""), ("gain_K", ""), ("phase_V", ""),
+        ("samples_N", ""), ("temp_sensor_C", ""), ("V", ""), ("rpm", ""), ("time_s", ""),
+        ("speed [m/s]", ""), ("u", ""), ("", ""), ("_V", ""), ("pump_in", ""), ("y_min", ""),
+    ],
+)  # fmt: skip
+def test_units_at_the_ends_of_names_are_read_where_they_mean_nothing_else(name, unit):
+    assert unit_of_name(name) == unit
+
+
+def test_an_inspection_says_which_units_are_the_ends_of_names(tmp_path):
+    t = 0.01 * np.arange(200)
+    path = tmp_path / "run.csv"
+    table = np.column_stack([t, np.sign(np.sin(5 * t)), 20 + np.sin(3 * t), np.cos(t)])
+    header = "t,heater_voltage_V,temp_degC,motor_A"
+    np.savetxt(path, table, delimiter=",", header=header, comments="")
+    inspection = inspect(path)
+    assert [channel.unit for channel in inspection.channels] == ["", "V", "°C", ""]
+    said = "Units from the ends of the names: V of `heater_voltage_V`, °C of `temp_degC`; nothing"
+    assert said in str(inspection)
