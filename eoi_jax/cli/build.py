@@ -292,8 +292,9 @@ def unseen_records(
 def records_of_files(config: Config, model: Plant, files: Sequence[Path]) -> list[Record]:
     """Records of other files of the same columns as those of the config.
 
-    Columns, units, scale, hold and burn-in are those of [validation], else of [data]; a `slice` is
-    that of its own files. Of a simulated run the columns are called as the plant's channels.
+    Columns, units, scale, hold and burn-in are those of [validation], else of [data]; a `slice` and
+    `parts` are those of their own files. Of a simulated run the columns are called as the plant's
+    channels.
 
     Args:
         config: the tables.
@@ -310,7 +311,7 @@ def records_of_files(config: Config, model: Plant, files: Sequence[Path]) -> lis
     if table is None:
         clock = inspect(files[0], inputs=model.inputs, outputs=model.outputs).clock.column
         table = DataTable(names, model.inputs, model.outputs, time=clock)
-    table = msgspec.structs.replace(table, files=names, slice=None)
+    table = msgspec.structs.replace(table, files=names, slice=None, parts={})
     return _read(table, "data", model, config.controller, Path(), None)
 
 
@@ -346,29 +347,42 @@ def _read(
     hold = "zero" if loop is not None and table.hold == "auto" else table.hold
     if isinstance(hold, dict):
         hold = {**dict.fromkeys(table.references, "zero"), **hold}
+    rule = "must be left out where `parts` are given"
+    check(not table.parts or table.slice is None, f"{name}.slice", rule, table.slice)
+    for file in table.parts:
+        check_choice(f"{name}.parts", file, table.files)
     measured = []
     for file in table.files:
-        path = _path_of(file, name, folder, data)
-        try:
-            record = read_record(
-                path,
-                time=table.time,
-                inputs=[*table.inputs, *table.references],
-                outputs=list(table.outputs),
-                sample_period=table.sample_period,
-                scale=dict(table.scale),
-                units=dict(table.units),
-                hold=hold,
-                burn_in=table.burn_in,
-                slice=table.slice,
-                renames=dict(zip(table.references, references, strict=True)),
-                max_gigabytes=table.max_gigabytes,
-            )
-        except ValueError:
-            _check_columns(table, name, path)
-            raise
-        measured.append(record)
+        path, spans = _path_of(file, name, folder, data), table.parts.get(file) or (table.slice,)
+        for number, span in enumerate(spans, 1):
+            label = f"{path.name.split('.')[0]}, part {number}" if len(spans) > 1 else None
+            options = {"hold": hold, "slice": span, "name": label}
+            options["renames"] = dict(zip(table.references, references, strict=True))
+            measured.append(_read_file(path, table, name, options))
     return measured
+
+
+def _read_file(path: Path, table: DataTable, name: str, options: dict[str, Any]) -> Record:
+    """A record as a table says; `options` are those of `read_record` that it does not hold."""
+    assert table.references is not None
+    try:
+        return read_record(
+            path,
+            time=table.time,
+            inputs=[*table.inputs, *table.references],
+            outputs=list(table.outputs),
+            sample_period=table.sample_period,
+            scale=dict(table.scale),
+            units=dict(table.units),
+            burn_in=table.burn_in,
+            max_gigabytes=table.max_gigabytes,
+            **options,
+        )
+    except ValueError as error:
+        _check_columns(table, name, path)
+        if path.name in str(error):
+            raise
+        raise ValueError(f"{error} File: {path}.") from error
 
 
 def _check_columns(table: DataTable, name: str, path: Path) -> None:

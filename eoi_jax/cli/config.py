@@ -354,6 +354,8 @@ class DataTable(msgspec.Struct, frozen=True):
         scale: factor by column, to convert units.
         units: unit by column, after scaling.
         slice: first and last (excluded) sample used.
+        parts: ranges of samples by file, each a record of its own, in place of `slice`: where the
+            logger was started again, as ``{ "run.csv" = [[0, 3017], [3017, 6024]] }``.
         hold: the input between samples: zero, linear, smooth, or auto; or by column, as
             ``{ heating = "zero", outdoor = "linear" }``. With a [controller] auto means zero.
         burn_in: time at the start that is not scored [s].
@@ -369,6 +371,7 @@ class DataTable(msgspec.Struct, frozen=True):
     scale: dict[str, float] = {}
     units: dict[str, str] = {}
     slice: tuple[int, int] | None = None
+    parts: dict[str, tuple[tuple[int, int], ...]] = {}
     hold: HoldWord | dict[str, InputHold] = "auto"
     burn_in: NotNegative = 0.0
     max_gigabytes: Positive = MAX_GIGABYTES
@@ -409,6 +412,19 @@ class Config(msgspec.Struct, frozen=True):
 
 
 # -- from text to tables ----------------------------------------------------------------------
+
+
+def _with_defaults(part: dict[str, Any], data: dict[str, Any]) -> dict[str, Any]:
+    """[validation] or [test] with what [data] says; parts only of files that it names too."""
+    merged = {**data, **part}
+    parts, files = merged.get("parts"), merged.get("files")
+    if "parts" in part:
+        merged.pop("slice", None)
+    elif "slice" in part:
+        merged.pop("parts", None)
+    elif isinstance(parts, dict) and isinstance(files, list):
+        merged["parts"] = {file: parts[file] for file in parts if file in files}
+    return merged
 
 
 def _check_finite(value: Any, place: tuple[str, ...]) -> None:
@@ -464,7 +480,7 @@ def load(path: Path, max_depth: int = 20) -> Config:
     for name in ("validation", "test"):
         part = tables.get(name)
         if isinstance(data, dict) and isinstance(part, dict):
-            tables[name] = {**data, **part}
+            tables[name] = _with_defaults(part, data)
     config = struct(Config, tables)
     check(
         (config.plant is None) != (config.model is None),

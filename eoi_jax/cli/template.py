@@ -28,6 +28,8 @@ class DraftSettings:
     """How a draft divides the data and fits the first guess of its parameters."""
 
     held_out: float = 0.3  # share of the samples, at the end
+    most_parts: int = 20  # between restarts of a logger; more: the rows are not sorted
+    shortest_part: int = 100  # samples that are a record of its own
     bandwidths: float = 4.0  # of the output, within which the first guess is fitted
     # A first-order model is chosen that explains so much of ẏ, or more of it than one of second
     # order explains of ÿ.
@@ -124,14 +126,22 @@ def _check_columns(inspections: Sequence[Inspection], names: Sequence[str]) -> N
 def _record(inspection: Inspection, inputs: Sequence[str], output: Channel) -> Record:
     """The first samples, as read with the config."""
     clock, signals = inspection.clock, inspection.signals
-    count = min(inspection.samples, InspectionSettings.examined)
-    part = slice(0, count)
+    start, stop = _spans(inspection)[0]
+    count = min(stop - start, InspectionSettings.examined)
+    part = slice(start, start + count)
     period = clock.sample_period or 1.0
     u = np.stack([signals[key][part] for key in inputs], axis=1) if inputs else np.zeros((count, 0))
     stamps = (
         clock.factor * signals[clock.column][part] if clock.column else period * np.arange(count)
     )
     return Record(stamps, u, signals[output.name][part], inspection.path.name)
+
+
+def _spans(inspection: Inspection) -> list[tuple[int, int]]:
+    """Ranges of rows between restarts of the logger; all rows where their order is another one."""
+    long = [(a, b) for a, b in inspection.parts if b - a >= _SETTINGS.shortest_part]
+    few = len(inspection.parts) <= _SETTINGS.most_parts
+    return long if long and few else [(0, inspection.samples)]
 
 
 # -- a first guess of the parameters ------------------------------------------------------
@@ -273,7 +283,6 @@ def _data_lines(
     """[data], and [validation] with data that the fit does not use."""
     inspection = inspections[0]
     files = [_path_in(one.path, target) for one in inspections]
-    cut = int((1.0 - _SETTINGS.held_out) * inspection.samples)
     units = {channel.name: channel.unit for channel in inspection.channels if channel.unit}
     units = {key: unit for key, unit in units.items() if key in (*inputs, output.name)}
     lines = [
@@ -289,21 +298,45 @@ def _data_lines(
         lines.append(f"# other columns: {names}")
     if units:
         lines.append(f"units = {_table(units)}")
-    if len(files) == 1:
-        lines.append(f"slice = [0, {cut}]")
-        held_out = "the end of the record", f"slice = [{cut}, {inspection.samples}]"
-    else:
-        held_out = "the last file", f"files = {_list(files[-1:])}"
+    fitted, held_out = _divided(files, [_spans(one) for one in inspections])
+    lines += [fitted] if fitted else []
     lines += [
         '# hold = "zero"                # "zero": inputs held by a converter; "linear"; "smooth";',
         '                               # or by column: { heating = "zero", outdoor = "linear" }',
         "# burn_in = 0.0                 # time at the start that is not scored [s]",
         "",
         f"[validation]                    # {held_out[0]}, which the fit does not use",
-        held_out[1],
+        *held_out[1:],
         "",
     ]
     return "\n".join(lines)
+
+
+def _divided(
+    files: Sequence[str], spans: Sequence[Sequence[tuple[int, int]]]
+) -> tuple[str, tuple[str, ...]]:
+    """Which samples [data] reads; what is held out, in words, and the lines that read it."""
+    restarted = {file: ranges for file, ranges in zip(files, spans, strict=True) if len(ranges) > 1}
+    if len(files) > 1:
+        fitted = {file: ranges for file, ranges in restarted.items() if file != files[-1]}
+        held_out = {file: ranges for file, ranges in restarted.items() if file == files[-1]}
+        lines = [f"files = {_list(files[-1:])}", *([_parts(held_out)] if held_out else [])]
+        return _parts(fitted) if fitted else "", ("the last file", *lines)
+    if restarted:
+        fitted, held_out = {files[0]: spans[0][:-1]}, {files[0]: spans[0][-1:]}
+        return _parts(fitted), ("the last part of the record", _parts(held_out))
+    ((start, stop),) = spans[0]
+    cut = start + int((1.0 - _SETTINGS.held_out) * (stop - start))
+    return f"slice = [{start}, {cut}]", ("the end of the record", f"slice = [{cut}, {stop}]")
+
+
+def _parts(spans: dict[str, Sequence[tuple[int, int]]]) -> str:
+    """Samples between restarts of the logger, a record each."""
+    entries = (
+        f"{_text(file)} = [{', '.join(f'[{a}, {b}]' for a, b in ranges)}]"
+        for file, ranges in spans.items()
+    )
+    return f"parts = {{ {', '.join(entries)} }}  # records between restarts of the logger"
 
 
 def _time_lines(inspection: Inspection) -> list[str]:

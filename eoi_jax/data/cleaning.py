@@ -171,7 +171,8 @@ def drop_repeats(
             "time",
             "must increase",
             f"{stamps[i]} s at index {i} after {stamps[i - 1]} s",
-            "Sort the rows, or split the record where time restarts.",
+            "Sort the rows, or split the record where time restarts: by `slice`, or `parts` in the "
+            "config of a command.",
         )
     repeats = np.flatnonzero(spacing == 0) + 1
     if not repeats.size:

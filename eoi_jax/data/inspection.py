@@ -3,6 +3,7 @@
 Which column is the time, an input or an output is a guess, and is reported as a guess.
 """
 
+import itertools
 import re
 import warnings
 from collections.abc import Mapping, Sequence
@@ -124,6 +125,13 @@ class Inspection(Result):
         """Names of the columns that look like references of a controller, beside an input."""
         unused = [channel.name for channel in self.channels if channel.role == "other"]
         return tuple(name for name in unused if self.inputs and is_reference(name))
+
+    @property
+    def parts(self) -> tuple[tuple[int, int], ...]:
+        """Ranges of rows, first and last (excluded), in which the time does not go back."""
+        stamps = self.signals[self.clock.column] if self.clock.column else np.zeros(self.samples)
+        edges = [0, *(np.flatnonzero(np.diff(stamps) < 0) + 1).tolist(), self.samples]
+        return tuple(itertools.pairwise(edges))
 
     def summary(self) -> dict[str, Any]:
         """The inspection as JSON values; numbers that are not finite become None."""
@@ -484,8 +492,9 @@ def _advice(channels: Sequence[Channel], clock: Clock, samples: int) -> list[str
     count, first = clock.backwards
     if count:
         advice.append(
-            f"Time goes back {counted(count, 'time')}, first at row {first}: sort the rows, or "
-            "split the record there (slice)."
+            f"Time goes back {counted(count, 'time')}, first at row {first}, counted from 0. If "
+            "the logger started again there, `parts` of [data] in a config reads the parts as "
+            "records of their own; else sort the rows."
         )
     moving = [*by_role["output"], *by_role["input"]]
     if not count:

@@ -15,15 +15,15 @@ from eoi_jax.data.resampling import GridSettings
 
 _NAMES = re.compile(
     r"(t|time|times|tempo|tiempo|temps|zeit|stamps?|timestamps?|clock|date|datetime|elapsed|"
-    r"sec|secs|seconds?|s|ms|us|µs|zeitstempel|uhrzeit|datum)$",
+    r"sec|secs|seconds?|s|ms|us|µs|millis|micros|zeitstempel|uhrzeit|datum)$",
     re.IGNORECASE,
 )
 _COUNTERS = re.compile(r"(|\d+|index|idx|i|k|n|no|nr|row|sample|samples|unnamed.*)$", re.IGNORECASE)
 _UNITS = {
     "s": 1.0, "sec": 1.0, "second": 1.0, "seconds": 1.0, "ms": 1e-3, "msec": 1e-3,
-    "milliseconds": 1e-3, "us": 1e-6, "µs": 1e-6, "μs": 1e-6, "usec": 1e-6, "microseconds": 1e-6,
-    "ns": 1e-9, "nanoseconds": 1e-9, "min": 60.0, "minutes": 60.0, "h": 3600.0, "hours": 3600.0,
-    "d": 86400.0, "days": 86400.0,
+    "milliseconds": 1e-3, "millis": 1e-3, "us": 1e-6, "µs": 1e-6, "μs": 1e-6, "usec": 1e-6,
+    "microseconds": 1e-6, "micros": 1e-6, "ns": 1e-9, "nanoseconds": 1e-9, "min": 60.0,
+    "minutes": 60.0, "h": 3600.0, "hours": 3600.0, "d": 86400.0, "days": 86400.0,
 }  # fmt: skip
 NAMED = "named by the caller"
 # Units since 1970, the smallest value of each, and its seconds, for dates from 2001 to 2065.
@@ -40,7 +40,7 @@ class Clock:
         factor: seconds in a unit of the column.
         why: reasons for both, in a sentence.
         sample_period: median spacing of the stamps [s]; None without a column.
-        duration: from the first stamp to the last [s].
+        duration: from the first stamp to the last [s]; where time goes back, of its parts together.
         spacing: smallest and largest spacing [s].
         jitter: standard deviation of the spacings, without gaps, divided by the median.
         gaps: number of spacings of more than 2.5 periods, and the longest [s].
@@ -185,7 +185,7 @@ def _clock_of(
         factor,
         why,
         period,
-        float(stamps[-1] - stamps[0]),
+        float(np.sum(forward) if len(backward) else stamps[-1] - stamps[0]),
         (float(steps.min()), float(steps.max())),
         float(np.sqrt(np.mean((regular - period) ** 2)) / period),
         (int(gaps.sum()), float(forward.max()) if gaps.any() else 0.0),
