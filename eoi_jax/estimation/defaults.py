@@ -57,6 +57,7 @@ class DefaultRules:
     min_time_constants: float = 20.0  # of F, in the length of a record
     min_length_ratio: float = 0.1  # of its length to that of the longest record
     relay_ratio: float = 2.0  # of the relay to the largest injection foreseen
+    leak: float = 1.0  # of a first-order observer, whose relay is integrated [1/s]
 
 
 _RULES = DefaultRules()
@@ -225,13 +226,15 @@ def default_observer(
         period = min(record.sample_period for record in records)
         noise = max(float(record.noise[j]) for record in records)
         ratio = (substeps * period) ** degree * relay / noise if noise > 0 else np.inf
-        # A first-order observer integrates its relay: it must reach the injection in one step.
+        # A first-order observer integrates its relay with a leak: it must reach the injection in
+        # one step, h δ/(1 + h T), also where the step h is longer than 1/T.
         gain = "delta" if degree == 1 else "relay"
-        value = 2.0 * relay / period if degree == 1 else relay
+        value = 2.0 * relay * (1.0 / period + _RULES.leak) if degree == 1 else relay
+        reach = ", which injects in one step" if degree == 1 else ","
         reasons.append(
-            f"{plant.outputs[j]}: {gain} {value:.3g}, {relay_ratio:g} times the largest injection "
-            f"foreseen at the nominal parameters ({injection[j]:.3g}); its reach over one sample "
-            f"is {ratio:.3g} times the measurement noise"
+            f"{plant.outputs[j]}: {gain} {value:.3g}{reach} {relay_ratio:g} times the largest "
+            f"injection foreseen at the nominal parameters ({injection[j]:.3g}); its reach over "
+            f"one sample is {ratio:.3g} times the measurement noise"
         )
         gains.append(value)
     return _build(plant.degrees, np.asarray(gains), cutoff), tuple(reasons)
@@ -362,7 +365,7 @@ def _build(
         if degree == 0:
             return Measurement()
         if degree == 1:
-            return FirstOrder(delta=value)
+            return FirstOrder(delta=value, leak=_RULES.leak)
         if degree == 2:
             # Error dynamics (10) without its relay: two poles at the cut-off, damping 0.7.
             return SecondOrder(c1=1.4 * cutoff, c2=cutoff**2, c3=value)

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from problems import SWAY, Motion, grid, moved_mass_spring
 
+import eoi_jax as eoi
 from eoi_jax._checks import RecordWarning
 from eoi_jax.data.record import Record
 from eoi_jax.data.spectrum import Spectrum, foreign_lines, spectrum
@@ -319,3 +320,15 @@ def test_what_has_no_velocity_needs_no_smoothing():
     record = Record(time, np.cos(3.0 * time), y)
     assert default_smoothing(PLANT, [record], 10.0)[0] is not False
     assert default_smoothing(level_tank(), [record], 10.0) == (False, [])
+
+
+@pytest.mark.parametrize("period", [0.01, 3600.0])
+def test_the_default_gain_of_a_slow_plant_keeps_it_in_sliding_mode(period):
+    """The relay leaks within a second: it must reach the injection in steps of hours, too."""
+    model = eoi.Plant(lambda t, x, u, p: -p.a * x.y[0] + p.b * u, {"a": 0.2 / period, "b": 1.0})
+    true = model.with_parameters({"a": 0.1 / period, "b": 0.8})
+    time = period * np.arange(400)
+    u = np.random.default_rng(0).uniform(-1.0, 1.0, 40).repeat(10) / period
+    found = eoi.identify(model, eoi.simulate(true, time, u, hold="zero"))
+    assert found.sliding_fraction[0] == 1.0
+    assert found.parameters["a"] == pytest.approx(0.1 / period, rel=1e-3)
