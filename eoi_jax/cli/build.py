@@ -32,6 +32,7 @@ from eoi_jax.data import excitation
 from eoi_jax.data.inspection import inspect
 from eoi_jax.data.readers.read_record import read_record, read_table
 from eoi_jax.data.record import Record
+from eoi_jax.data.time_axis import parts_between_restarts
 from eoi_jax.estimation import observers
 from eoi_jax.estimation.lowpass import LowPass
 from eoi_jax.models import library as plants
@@ -292,9 +293,9 @@ def unseen_records(
 def records_of_files(config: Config, model: Plant, files: Sequence[Path]) -> list[Record]:
     """Records of other files of the same columns as those of the config.
 
-    Columns, units, scale, hold and burn-in are those of [validation], else of [data]; a `slice` and
-    `parts` are those of their own files. Of a simulated run the columns are called as the plant's
-    channels.
+    Columns, units, scale, hold and burn-in are those of [validation], else of [data]; a `slice` is
+    that of its own files, and where the logger was started again a file is several records. Of a
+    simulated run the columns are called as the plant's channels.
 
     Args:
         config: the tables.
@@ -311,8 +312,18 @@ def records_of_files(config: Config, model: Plant, files: Sequence[Path]) -> lis
     if table is None:
         clock = inspect(files[0], inputs=model.inputs, outputs=model.outputs).clock.column
         table = DataTable(names, model.inputs, model.outputs, time=clock)
-    table = msgspec.structs.replace(table, files=names, slice=None, parts={})
+    parts = {} if table.time is None else {name: _parts(name, table) for name in names}
+    table = msgspec.structs.replace(table, files=names, slice=None, parts=parts)
     return _read(table, "data", model, config.controller, Path(), None)
+
+
+def _parts(path: str, table: DataTable) -> tuple[tuple[int, int], ...]:
+    """Samples between restarts of the logger; none where time goes on, or is not in the file."""
+    stamps = read_table(Path(path), table.max_gigabytes).columns.get(table.time or "")
+    if stamps is None or stamps.dtype.kind not in "iufMm":
+        return ()
+    parts = parts_between_restarts(stamps)
+    return parts if parts != ((0, len(stamps)),) else ()
 
 
 def _read(

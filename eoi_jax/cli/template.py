@@ -28,8 +28,6 @@ class DraftSettings:
     """How a draft divides the data and fits the first guess of its parameters."""
 
     held_out: float = 0.3  # share of the samples, at the end
-    most_parts: int = 20  # between restarts of a logger; more: the rows are not sorted
-    shortest_part: int = 100  # samples that are a record of its own
     bandwidths: float = 4.0  # of the output, within which the first guess is fitted
     # A first-order model is chosen that explains so much of ẏ, or more of it than one of second
     # order explains of ÿ.
@@ -126,7 +124,7 @@ def _check_columns(inspections: Sequence[Inspection], names: Sequence[str]) -> N
 def _record(inspection: Inspection, inputs: Sequence[str], output: Channel) -> Record:
     """The first samples, as read with the config."""
     clock, signals = inspection.clock, inspection.signals
-    start, stop = _spans(inspection)[0]
+    start, stop = inspection.parts[0]
     count = min(stop - start, InspectionSettings.examined)
     part = slice(start, start + count)
     period = clock.sample_period or 1.0
@@ -135,13 +133,6 @@ def _record(inspection: Inspection, inputs: Sequence[str], output: Channel) -> R
         clock.factor * signals[clock.column][part] if clock.column else period * np.arange(count)
     )
     return Record(stamps, u, signals[output.name][part], inspection.path.name)
-
-
-def _spans(inspection: Inspection) -> list[tuple[int, int]]:
-    """Ranges of rows between restarts of the logger; all rows where their order is another one."""
-    long = [(a, b) for a, b in inspection.parts if b - a >= _SETTINGS.shortest_part]
-    few = len(inspection.parts) <= _SETTINGS.most_parts
-    return long if long and few else [(0, inspection.samples)]
 
 
 # -- a first guess of the parameters ------------------------------------------------------
@@ -298,7 +289,7 @@ def _data_lines(
         lines.append(f"# other columns: {names}")
     if units:
         lines.append(f"units = {_table(units)}")
-    fitted, held_out = _divided(files, [_spans(one) for one in inspections])
+    fitted, held_out = _divided(files, [one.parts for one in inspections])
     lines += [fitted] if fitted else []
     lines += [
         '# hold = "zero"                # "zero": inputs held by a converter; "linear"; "smooth";',

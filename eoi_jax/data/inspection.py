@@ -3,7 +3,6 @@
 Which column is the time, an input or an output is a guess, and is reported as a guess.
 """
 
-import itertools
 import re
 import warnings
 from collections.abc import Mapping, Sequence
@@ -25,7 +24,7 @@ from eoi_jax.data.readers.read_record import read_table
 from eoi_jax.data.readers.table import Table
 from eoi_jax.data.record import Record
 from eoi_jax.data.resampling import Real
-from eoi_jax.data.time_axis import NAMED, Clock, find_clock
+from eoi_jax.data.time_axis import NAMED, Clock, find_clock, parts_between_restarts
 
 _PERIODS = frozenset(["ts", "dt", "sampletime", "sampleperiod", "samplingperiod", "samplingtime"])
 _RATES = frozenset(["fs", "samplerate", "samplingrate", "samplingfrequency"])
@@ -128,10 +127,9 @@ class Inspection(Result):
 
     @property
     def parts(self) -> tuple[tuple[int, int], ...]:
-        """Ranges of rows, first and last (excluded), in which the time does not go back."""
-        stamps = self.signals[self.clock.column] if self.clock.column else np.zeros(self.samples)
-        edges = [0, *(np.flatnonzero(np.diff(stamps) < 0) + 1).tolist(), self.samples]
-        return tuple(itertools.pairwise(edges))
+        """Ranges of rows, first and last (excluded), between restarts of the logger."""
+        column = self.clock.column
+        return parts_between_restarts(self.signals[column] if column else np.zeros(self.samples))
 
     def summary(self) -> dict[str, Any]:
         """The inspection as JSON values; numbers that are not finite become None."""

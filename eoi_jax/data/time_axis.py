@@ -3,6 +3,7 @@
 No data are changed here; `Record` handles jitter and gaps.
 """
 
+import itertools
 import re
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -193,6 +194,32 @@ def _clock_of(
         (len(backward), int(backward[0]) + 1 if len(backward) else None),
         others,
     )
+
+
+@dataclass(frozen=True)
+class RestartSettings:
+    """When a clock that goes back is that of a logger that was started again."""
+
+    most_parts: int = 20  # more: the rows are not sorted
+    shortest: int = 100  # samples that are a record of its own
+
+
+def parts_between_restarts(
+    stamps: np.ndarray, settings: RestartSettings = RestartSettings()
+) -> tuple[tuple[int, int], ...]:
+    """Ranges of rows, first and last (excluded), in which time does not go back.
+
+    Short ones are left out. All rows are one range where time never goes back, or too often.
+
+    Args:
+        stamps: as they stand in a file, numbers or dates.
+        settings: what is a restart.
+    """
+    steps = np.diff(stamps)
+    restarts = np.flatnonzero(steps < np.zeros(1, steps.dtype)) + 1
+    ranges = list(itertools.pairwise([0, *restarts.tolist(), len(stamps)]))
+    long = tuple((a, b) for a, b in ranges if b - a >= settings.shortest)
+    return long if long and len(ranges) <= settings.most_parts else ((0, len(stamps)),)
 
 
 def epoch_unit(values: Float[np.ndarray, " time"]) -> tuple[str, float] | None:

@@ -111,3 +111,14 @@ def test_held_out_files_take_over_only_parts_of_their_own(tmp_path):
     plant = build.plant(config, tmp_path)
     assert [len(record) for record in build.records(config, plant, tmp_path)] == [700, 600]
     assert [len(record) for record in build.validation_records(config, plant, tmp_path)] == [500]
+
+
+def test_new_data_of_a_saved_model_are_divided_where_the_logger_restarts(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    drafted(tmp_path, written(tmp_path, "a.csv", 700), written(tmp_path, "b.csv", 500))
+    config = load(tmp_path / "run.toml")
+    plant = build.plant(config, tmp_path)
+    new = [written(tmp_path, "new.csv", 400, 30, 300), tmp_path / "a.csv"]
+    found = build.records_of_files(config, plant, new)
+    assert [record.name for record in found] == ["new, part 1", "new, part 2", "a"]
+    assert [len(record) for record in found] == [400, 300, 700]
