@@ -66,7 +66,8 @@ def export(model: Any, path: str | Path, language: str | None = None) -> Path:
 
     Raises:
         ValueError: no plant, an unknown language, a name that is none for a function, a folder
-            that cannot be written, or a model that holds what is no such arithmetic (which).
+            that cannot be written, a file in its place that eoi_jax did not write, or a model that
+            holds what is no such arithmetic (which).
     """
     plant = model if isinstance(model, Plant) else getattr(model, "plant", None)
     rule = "must be a Plant or a result that has one"

@@ -53,7 +53,14 @@ def identifier(
     return unique
 
 
+# Letters that Unicode does not decompose.
+_LETTERS = {"ß": "ss", "æ": "ae", "Æ": "Ae", "œ": "oe", "Œ": "Oe", "ø": "o", "Ø": "O", "ł": "l",
+            "Ł": "L", "đ": "d", "ı": "i"}  # fmt: skip
+
+
 def _spelled(letter: str) -> str:
+    if letter in _LETTERS:
+        return _LETTERS[letter]
     greek = re.fullmatch(r"GREEK (?:SMALL|CAPITAL) LETTER (\w+)", unicodedata.name(letter, ""))
     if greek:
         return greek[1].lower()

@@ -455,6 +455,7 @@ def test_identifiers_and_comments_hold_nothing_else(text):
 def test_greek_is_spelled_out_and_accents_are_left_out():
     assert identifier("α_Ω") == "alpha_omega"
     assert identifier("Füllstand é") == "Fullstand_e"
+    assert identifier("Außentemperatur") == "Aussentemperatur"
 
 
 # -- what cannot be exported ------------------------------------------------------------------
@@ -538,3 +539,13 @@ def test_a_model_that_was_changed_by_hand_is_read_like_any_text(tmp_path):
     path.write_text(json.dumps(content))
     with pytest.raises(ValueError, match=r"`model.derivatives.angle_rate` must not hold"):
         eoi.load(path)
+
+
+def test_code_replaces_code_that_was_written_here_only(tmp_path):
+    plant, path = eoi.plants.level_tank(), tmp_path / "tank.c"
+    eoi.export(plant, path)
+    eoi.export(plant, path)
+    path.write_text("int main(void) { return 0; }\n")
+    with pytest.raises(ValueError, match=r"not be a file that eoi_jax did not write, got .*tank"):
+        eoi.export(plant, path)
+    assert path.read_text().startswith("int main")
