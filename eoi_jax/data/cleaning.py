@@ -11,6 +11,7 @@ from jaxtyping import Bool, Float, Int
 
 from eoi_jax._checks import check, check_choice, counted, is_or_are, timed
 from eoi_jax._types import Mask, Signals, TimeAxis
+from eoi_jax.compiler.jax_private import Tracer
 from eoi_jax.data.input_holds import Columns, Hold, by_hold, hold_of_each, hold_text
 from eoi_jax.data.noise import white_noise
 from eoi_jax.data.resampling import (
@@ -64,6 +65,13 @@ def _numbers(name: str, values: Any, limit: float = 1e150) -> np.ndarray:
     advice = "Its square must be a number, too: give a `scale`, or drop such samples."
     check(largest < limit, name, f"must be below {limit:g} in size", largest, advice)
     return np.array(array)
+
+
+def check_untraced(*signals: Any) -> None:
+    """A record holds numbers, not what JAX traces in the place of numbers."""
+    traced = any(isinstance(signal, Tracer) for signal in signals)
+    rule, advice = "must get numbers", "In `jit`, `grad` or `vmap`, use `observe` or `rollout`."
+    check(not traced, "Record", rule, "numbers that JAX traces", advice)
 
 
 def read_stamps(time: Any) -> TimeAxis:

@@ -27,6 +27,7 @@ from eoi_jax.data.cleaning import (
     channel_names,
     check_labels,
     check_lengths,
+    check_untraced,
     drop_repeats,
     finite_samples,
     interpolate,
@@ -165,6 +166,7 @@ class Record(Result):
         burn_in: Real = 0.0,
     ):
         check(bool(0 <= burn_in < np.inf), "burn_in", "must be a time ≥ 0 in seconds", burn_in)
+        check_untraced(time, inputs, outputs)
         stamps = read_stamps(time)
         u, y = read_signals("inputs", inputs), read_signals("outputs", outputs)
         check_lengths(stamps, u, y)

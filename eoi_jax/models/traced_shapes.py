@@ -22,6 +22,11 @@ _ARGUMENTS = (
     "their derivatives, `x.z` the internal states, and parameters have their names, `p.mass`."
 )
 
+_SCALARS = (
+    "A row of `x.y` has an entry for each output, also of a single one, and so has `u`: "
+    "`position, speed = x.y[:, 0]` and `u[0]` are scalars."
+)
+
 
 def traced_shape(field: str, function: Any, call: Callable, *arguments: Any) -> tuple[int, ...]:
     """Shape of what a call returns, without values.
@@ -50,6 +55,8 @@ def traced_shape(field: str, function: Any, call: Callable, *arguments: Any) -> 
     except _FAILURES as error:
         value = f"{type(error).__name__}: {error}{_line(function, error)}"
         advice = "" if field == "actuator" else _ARGUMENTS
+        scalar = advice and "scalar" in str(error)  # lax.cond, lax.while_loop
+        advice += " " + _SCALARS if scalar else ""
         check(False, field, "must run where it is called", value, advice)
         raise
 

@@ -9,6 +9,7 @@ from eoi_jax._checks import check, check_choice, check_kind, check_positive, che
 from eoi_jax._types import Scalar
 from eoi_jax.compiler.jax_private import Tracer
 from eoi_jax.data.input_holds import TRACED_HOLDS
+from eoi_jax.data.record import Record
 from eoi_jax.models.plant import Plant, State
 from eoi_jax.simulation.integrator import free_run, frictional
 from eoi_jax.simulation.simulate import acted, drive, initial_outputs
@@ -59,9 +60,11 @@ def rollout(
     if not isinstance(h, Tracer):
         check_positive("h", h, "It is the sample period in seconds.")
     values = jnp.asarray((plant if theta is None else plant.with_parameters(theta)).theta, float)
+    check(not isinstance(u, Record), "u", "must be an array", "a Record", "Give its `.inputs`.")
     inputs = jnp.asarray(u, float)
     inputs = inputs[:, None] if inputs.ndim == 1 else inputs
-    check_shape("u", inputs, (None, len(plant.inputs)), "one row a sample, a column an input")
+    rule, advice = "one row a sample, a column an input", "For several runs use `jax.vmap`."
+    check_shape("u", inputs, (None, len(plant.inputs)), rule, advice)
     check(len(inputs) > 1, "u", "must have at least two samples", len(inputs))
     initial, internal = (x0.y, x0.z) if isinstance(x0, State) else (x0, None)
     if internal is None:

@@ -1,5 +1,6 @@
 import warnings
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 import pandas as pd
@@ -564,3 +565,10 @@ def test_a_warning_stands_at_the_line_that_made_the_record():
     with pytest.warns(RecordWarning) as caught:
         Record.from_period(0.1, np.zeros(50), y)
     assert {warning.filename for warning in caught} == {__file__}
+
+
+def test_a_record_of_traced_numbers_says_what_takes_them():
+    time = 0.01 * np.arange(50)
+    message = r"`Record` must get numbers, got numbers that JAX traces\. .* use `observe` or `roll"
+    with pytest.raises(ValueError, match=message):
+        jax.jit(lambda y: Record(time, time, y).outputs)(jnp.asarray(time))

@@ -2,6 +2,7 @@
 
 import math
 
+import jax
 import numpy as np
 import pytest
 
@@ -56,3 +57,14 @@ def test_a_model_that_does_not_run_is_named_with_what_it_is_called_with(law, mes
         eoi.Plant(law, {"a": 1.0})
     with pytest.raises(ValueError, match=advice):
         eoi.Plant(law, {"a": 1.0})
+
+
+def test_a_branch_on_a_row_of_the_outputs_says_that_it_is_no_scalar():
+    def branched(t, x, u, p):
+        (speed,) = x.y
+        return u - p.a * jax.lax.cond(speed > 0, lambda v: v, lambda v: 2.0 * v, speed)
+
+    with pytest.raises(
+        ValueError, match=r"Pred must be a scalar.* `position, speed = x.y\[:, 0\]`"
+    ):
+        eoi.Plant(branched, {"a": 1.0})

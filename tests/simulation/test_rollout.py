@@ -172,6 +172,8 @@ def test_simulate_in_traced_code_names_rollout(transform):
     ("arguments", "message"),
     [
         ((SMOOTH, None, None, np.ones((5, 2)), H), r"`u` must have shape \(any, 1\)"),
+        ((SMOOTH, None, None, eoi.simulate(SMOOTH, TIME, INPUT), H), r"a Record. Give its `.inp"),
+        ((SMOOTH, None, None, np.ones((3, 200)), H), r"got shape \(3, 200\)\. .* use `jax.vmap`"),
         ((SMOOTH, None, None, INPUT, 0.0), "`h` must be positive and finite, got 0.0"),
         ((SMOOTH, None, None, INPUT, -H), "`h` must be positive and finite, got -0.01"),
         ((SMOOTH, None, {"angle": 1.0}, INPUT, H), "`initial` must be one of position, got"),
