@@ -86,7 +86,7 @@ def identify(
     source, job = _prepare(config, "pendulum", data, output, progress, changes)
     with run_folder.quiet_records():
         result, validation = _identify(job, progress)
-    notes = [*_hold_notes(job.settings), *_unseen_notes(job)]
+    notes = [*_example_notes(config), *_hold_notes(job.settings), *_unseen_notes(job)]
     if job.loop is not None and validation is None:
         notes.append(_NOT_IN_LOOP.format("passes, and there is no free run on held-out records"))
     result = replace(result, notes=(*result.notes, *notes))
@@ -143,6 +143,7 @@ def discover(
     source, job = _prepare(config, "hidden_friction", data, output, progress)
     with run_folder.quiet_records():
         result = _discover(job, progress)
+        result = replace(result, notes=(*result.notes, *_example_notes(config)))
     summary = discovery_summary(job, result)
     if not (result.status.ok or result.status.code in _ANSWERS):
         return Outcome(summary, code=ExitCode.NO_ANSWER, complaint=f"no answer ({result.status})")
@@ -184,6 +185,7 @@ def refine(
         if progress is not None:
             progress("free-run fit, step", 0, None, "compiling")
         result, refined_run = _refine(job, start, progress)
+        result = replace(result, notes=(*result.notes, *_example_notes(config)))
         if start_run and refined_run and start_run.window != refined_run.window:
             plants = start.plant, result.plant
             held_out = made_alike(job.held_out, job.records, result.records)
@@ -492,6 +494,13 @@ def _unused(settings: Config) -> list[str]:
         text = "passes and free runs of a discovery. Of an unstable plant only runs in windows say "
         notes.append(_NOT_IN_LOOP.format(f"{text}anything; `eoi refine` has it in the loop"))
     return notes
+
+
+def _example_notes(config: Path | None) -> list[str]:
+    """Whose data these are where no config is given."""
+    text = "no config was given: this is the built-in example. `eoi init FILE` drafts a config for "
+    text += "your own data"
+    return [text] if config is None else []
 
 
 def _hold_notes(settings: Config) -> list[str]:

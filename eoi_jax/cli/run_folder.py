@@ -346,7 +346,9 @@ def result_of_run(run: Path, trust: bool = False) -> Any:
     """
     if not run.exists():
         sweep_up(run.parent)  # restores a run whose replacement was interrupted
-    check(run.exists(), "run", "must be a folder or a file that exists", run, _RUN_FIRST)
+    default = Path("runs") / run
+    advice = f"Did you mean {default}?" if default.is_dir() else _RUN_FIRST
+    check(run.exists(), "run", "must be a folder or a file that exists", run, advice)
     if run.is_file():
         return _with_model(load(run), run)
     config = run / "config.toml"

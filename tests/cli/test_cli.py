@@ -296,6 +296,7 @@ def test_the_installed_command_runs_the_built_in_pendulum_in_an_empty_folder(tmp
         change = result["parameters"][name] - result["nominal"][name]
         assert change == pytest.approx(increment, rel=2e-3)
     assert {path.name for path in (tmp_path / "runs" / "pendulum").iterdir()} == FILES
+    assert any("no config was given: this is the built-in ex" in note for note in result["notes"])
     assert done.stderr == ""
 
 

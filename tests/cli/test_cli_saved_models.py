@@ -160,6 +160,7 @@ def test_models_are_compared_on_the_same_records(folder):
     found = answer("compare", "runs/good", "runs/wrong", "new.csv")
     fits = [model["validation"]["fit"]["level"] for model in found["models"]]
     assert list(table) == ["good", "wrong"]
+    assert found["notes"] == []
     assert list(table.values()) == pytest.approx(fits, abs=0.006)
     assert fits[0] > 98 > 90 > fits[1]
     single = answer("validate", "runs/wrong", "new.csv")["validation"]["fit"]["level"]
@@ -174,15 +175,9 @@ def test_without_a_file_the_records_are_those_that_the_first_run_held_out():
     assert found["records"][0]["samples"] == 800
     stored = json.loads(Path("runs/good/result.json").read_text())["validation"]
     assert found["models"][0]["validation"]["fit"] == stored["fit"]
-
-
-def test_without_a_file_a_note_says_whose_records_and_hold_these_are():
-    done = called("compare", "runs/good", "runs/wrong")
-    said = "the records are those that runs/good held out, with the hold of that run, "
-    assert f"Note: no data file is given: {said}" in " ".join(done.stdout.split())
-    (note,) = answer("compare", "runs/good", "runs/wrong")["notes"]
-    assert said + "zero" in note
-    assert answer("compare", "runs/good", "runs/wrong", "new.csv")["notes"] == []
+    (note,) = found["notes"]
+    assert "the records are those that runs/good held out, with the hold of that run, zero" in note
+    assert note in Path("runs/good.compare/compare.txt").read_text()
 
 
 def test_runs_of_one_name_are_told_by_their_paths(folder, tmp_path):
@@ -240,6 +235,7 @@ def test_columns_of_a_simulated_run_are_the_channels_of_its_plant(tmp_path, monk
     ("arguments", "message"),
     [
         (("validate", "none", "new.csv"), "`run` must be a folder or a file that exists"),
+        (("validate", "good", "new.csv"), "a file that exists, got good. Did you mean runs/good?"),
         (("validate", "new.csv", "new.csv"), "`RUN` must be the folder of a run, got new.csv"),
         (("validate", "runs/good", "none.csv"), "`FILE` must be a data file that exists"),
         (("validate", "runs/good", "bad.csv"), "height"),
