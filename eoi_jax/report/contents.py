@@ -273,11 +273,13 @@ def _error_over_noise(
     in_sample: bool = False,
     smallest: float = 1e-9,
     largest: float = 1e4,
+    least: float = 0.7,
 ) -> str:
     """The largest ratio of a free-run error to the noise of its sensor, in words.
 
     Noise below `smallest` of the signal is that of rounding, not of a sensor; above `largest` the
-    number tells nothing more.
+    number tells nothing more. No error is less than the noise: below `least` the estimate of the
+    noise, an upper bound where a signal moves from sample to sample, is refuted.
     """
     if run is None or not run.records or not np.all(np.isfinite(run.rmse)):
         return ""
@@ -290,6 +292,8 @@ def _error_over_noise(
     if ratio > largest:
         number = f"more than {largest:.0f}"
     data = "in-sample" if in_sample else "held-out"
+    if ratio < least:
+        return f"{data} error below the noise that differences of the samples show"
     return f"{data} error {number} × sensor noise"
 
 

@@ -167,7 +167,7 @@ def _passed(diagnosis: Diagnosis, rule: _CheckRule) -> str:
             f"{output} {quantity(noise, diagnosis.units.get(output, ''))}"
             for output, noise in zip(diagnosis.outputs, diagnosis.noise, strict=True)
         ]
-        return f"Noise of the outputs: {', '.join(sizes)}; quantisation is not visible."
+        return f"Noise of the outputs, at most: {', '.join(sizes)}; quantisation is not visible."
     if rule is _SATURATION:
         return "No input or output stops at a limit."
     return "No input acts with a delay, and none is computed from an output."
