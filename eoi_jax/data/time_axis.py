@@ -112,9 +112,9 @@ def _score(key: str, values: Float[np.ndarray, " time"], table: Table) -> float:
     forward = float(np.mean(steps > 0))
     backward = float(np.mean(steps < 0))
     named = bool(_NAMES.match(_stem(key)))
-    # A clock with restarts or repeats is accepted only by its name or type.
+    # A clock with restarts or repeats is accepted by its name or type, or where it ticks evenly.
     grows = forward > 0.5 and backward < 0.01 if named or dates else forward == 1.0
-    if not grows:
+    if not grows and not _ticks(steps):
         return 0.0
     unit_steps = bool(np.all(steps == 1.0))
     median = float(np.median(steps))
@@ -122,6 +122,17 @@ def _score(key: str, values: Float[np.ndarray, " time"], table: Table) -> float:
     counter = unit_steps and bool(_COUNTERS.match(_stem(key)))
     evidence = 8.0 * (key == table.time) + 4.0 * dates + 3.0 * named
     return 1.0 + evidence + regular - 1.5 * counter
+
+
+def _ticks(
+    steps: np.ndarray, most_repeats: float = 0.1, most_restarts: float = 1e-3, width: float = 0.01
+) -> bool:
+    """Whether nearly all steps forward are of the same length, between few repeats and restarts."""
+    forward = steps[steps > 0]
+    if len(forward) < (1.0 - most_repeats) * len(steps):
+        return False
+    even = np.abs(forward - np.median(forward)) < width * np.median(forward)
+    return float(np.mean(even)) > 0.95 and float(np.mean(steps < 0)) < most_restarts
 
 
 def _stem(key: str) -> str:
@@ -134,12 +145,10 @@ def _stem(key: str) -> str:
 def _reason(column: str, values: Float[np.ndarray, " time"], dates: bool) -> str:
     if dates:
         return "it holds dates or times of day"
-    growing = "it increases" if np.all(np.diff(values) > 0) else "it mostly increases"
-    return (
-        f"{growing}, and its name says so"
-        if _NAMES.match(_stem(column))
-        else f"{growing} throughout"
-    )
+    always = np.all(np.diff(values) > 0)
+    if _NAMES.match(_stem(column)):
+        return f"it {'' if always else 'mostly '}increases, and its name says so"
+    return "it increases throughout" if always else "it mostly increases, in equal steps"
 
 
 def _unit(

@@ -53,6 +53,20 @@ def test_a_clock_that_restarts_is_found_and_its_duration_is_that_of_the_parts(tm
     assert "`parts` of [data] in a config reads the parts as records" in str(found)
 
 
+def test_a_clock_of_any_name_is_found_by_its_equal_steps(tmp_path):
+    path = written(tmp_path, "log.csv", 1200, 900)
+    lines = path.read_text().splitlines()
+    path.write_text("\n".join(["a,b,c", *lines[1:5], *lines[4:]]))  # one stamp twice
+    found = inspect(path)
+    assert (found.clock.column, found.clock.repeated, found.clock.backwards[0]) == ("a", 1, 1)
+    assert found.clock.why.startswith("it mostly increases, in equal steps")
+    counts = np.floor(8.3 * np.arange(2100)).astype(int)  # of an encoder at constant speed
+    counts[1000:] -= counts[1000]
+    rows = [f"{n}{line[line.index(',') :]}" for n, line in zip(counts, lines[1:], strict=True)]
+    path.write_text("\n".join(["a,b,c", *rows]))
+    assert inspect(path).clock.column is None
+
+
 def test_the_draft_of_one_file_holds_its_last_part_out(tmp_path):
     tables = drafted(tmp_path, written(tmp_path, "log.csv", 700, 600, 500))
     assert tables["data"]["parts"] == {"log.csv": [[0, 700], [700, 1300]]}
