@@ -69,8 +69,10 @@ def validate(
         full_runs = free_runs(result, records, controller=controller)
         windows = _in_windows(result, records, full_runs, controller)
     rows = largest_correlations(full_runs)
+    notes = _fitted_notes([(run, result)], records)
     text = judgement_text(f"{run}: {plant.name}", full_runs, windows, rows)
-    summary = validation_summary(settings.name, run, full_runs, windows, rows)
+    text = "\n\n".join([text, *(f"Note: {note}" for note in notes)])
+    summary = validation_summary(settings.name, run, full_runs, windows, rows, notes)
     _report_stage(progress, "drawing")
     parts = ("validate", [("free run", full_runs)], summary, text)
     write_folder(folder, lambda draft: run_folder.write_free_runs(draft, *parts))
@@ -120,6 +122,8 @@ def compare(
         for (name, _), rows in zip(named, correlations, strict=True)
     ]
     notes = [] if files else [_held_out_note(runs[0], records[0])]
+    notes += _fitted_notes([(run, result) for run, (result, _) in zip(runs, saved, strict=True)],
+                           records)  # fmt: skip
     notes += [_NO_LOOP] * any(settings.controller is not None for _, settings in saved)
     texts += [f"Note: {note}" for note in notes]
     summary = comparison_summary(runs, validations, correlations, notes)
@@ -191,6 +195,34 @@ def _in_windows(
     if length is None:
         return None
     return free_runs(result, records, window=length, controller=controller)
+
+
+def _fitted_notes(results: Sequence[tuple[Path, Any]], records: Sequence[Record]) -> list[str]:
+    """Which records, or parts of them, a model was fitted to: their errors are no test of it."""
+    notes = []
+    for run, result in results:
+        known = [
+            record.name
+            for record in records
+            if any(_share_samples(record, fitted) for fitted in getattr(result, "records", ()))
+        ]
+        if known:
+            names = f"{', '.join(known[:4])}{', …' if len(known) > 4 else ''}"
+            text = f"{run} was fitted to samples of {names}: errors there do not say how well it "
+            notes.append(text + "predicts; judge it on other data")
+    return notes
+
+
+def _share_samples(record: Record, fitted: Record, smallest: int = 8) -> bool:
+    """Whether outputs of two records are the same at all times that both have, so many at least."""
+    if record.outputs.shape[1] != fitted.outputs.shape[1]:
+        return False
+    ticks = [np.rint(r.time / record.sample_period).astype(np.int64) for r in (record, fitted)]
+    _, here, there = np.intersect1d(*ticks, return_indices=True)
+    both = record.valid[here] & fitted.valid[there]
+    outputs = record.outputs[here][both]
+    moves = len(outputs) >= smallest and bool(np.ptp(outputs, axis=0).any())
+    return moves and np.array_equal(outputs, fitted.outputs[there][both])
 
 
 def _held_out_note(first: Path, record: Record) -> str:

@@ -202,6 +202,7 @@ def validation_summary(
     full_runs: Validation,
     windows: Validation | None,
     correlations: Sequence[LargestCorrelation],
+    notes: Sequence[str] = (),
 ) -> dict[str, Any]:
     """A saved model on data files as one JSON object.
 
@@ -211,6 +212,7 @@ def validation_summary(
         full_runs: free runs along whole records.
         windows: the same in windows, if there are any.
         correlations: of the errors.
+        notes: on the records.
     """
     return json_values(
         {
@@ -221,6 +223,7 @@ def validation_summary(
             "validation": _errors(full_runs),
             "windows": None if windows is None else _errors(windows),
             "correlations": _correlations(correlations),
+            "notes": list(notes),
             "records": [describe_record(record) for record in full_runs.records],
             "versions": versions(),
         }

@@ -505,6 +505,9 @@ def _advice(channels: Sequence[Channel], clock: Clock, samples: int) -> list[str
         ]
         text = f" Text, no numbers: {'; '.join(words[:5])}." if words else ""
         advice.append(f"No column looks like an output, numbers that change.{text}")
+    else:
+        texts = [channel for channel in channels if channel.role == "text" and channel.why]
+        advice += [f"`{channel.name}` is left out: text {channel.why}." for channel in texts[:5]]
     for channel in by_role["input"]:
         if channel.band is not None and clock.sample_period:
             nyquist = 0.5 / clock.sample_period

@@ -180,6 +180,16 @@ def test_without_a_file_the_records_are_those_that_the_first_run_held_out():
     assert note in Path("runs/good.compare/compare.txt").read_text()
 
 
+def test_records_that_the_model_was_fitted_to_are_named(folder, tmp_path):
+    lines = (folder / "run.csv").read_text().splitlines()
+    part = tmp_path / "part.csv"
+    part.write_text("\n".join([lines[0], *lines[101:401]]))
+    found = answer("validate", "runs/good", part, "new.csv")
+    said = "runs/good was fitted to samples of part: errors there do not say how well it predicts; "
+    assert found["notes"] == [said + "judge it on other data"]
+    assert "Note: runs/good was fitted" in Path("runs/good.validate/validate.txt").read_text()
+
+
 def test_runs_of_one_name_are_told_by_their_paths(folder, tmp_path):
     copy = tmp_path / "good"
     copy.mkdir()

@@ -516,3 +516,10 @@ def test_an_inspection_says_which_units_are_the_ends_of_names(tmp_path):
     assert [channel.unit for channel in inspection.channels] == ["", "V", "°C", ""]
     said = "Units from the ends of the names: V of `heater_voltage_V`, °C of `temp_degC`; nothing"
     assert said in str(inspection)
+
+
+def test_a_column_of_text_beside_an_output_is_named(tmp_path):
+    path = tmp_path / "run.csv"
+    rows = [f"{0.01 * k:.2f},{k // 50 % 2},{np.sin(0.1 * k):.4f},#{k}" for k in range(200)]
+    path.write_text("\n".join(["t,pwm,current,counts", *rows]))
+    assert "`counts` is left out: text such as '#0'." in inspect(path).advice
