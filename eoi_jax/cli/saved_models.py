@@ -201,14 +201,14 @@ def _fitted_notes(results: Sequence[tuple[Path, Any]], records: Sequence[Record]
     """Which records, or parts of them, a model was fitted to: their errors are no test of it."""
     notes = []
     for run, result in results:
-        known = [
+        names = [
             record.name
             for record in records
             if any(_share_samples(record, fitted) for fitted in getattr(result, "records", ()))
         ]
-        if known:
-            names = f"{', '.join(known[:4])}{', …' if len(known) > 4 else ''}"
-            text = f"{run} was fitted to samples of {names}: errors there do not say how well it "
+        if names:
+            text = f"{', '.join(names[:4])}{', …' if len(names) > 4 else ''}"
+            text = f"{run} was fitted to samples of {text}: errors there do not say how well it "
             notes.append(text + "predicts; judge it on other data")
     return notes
 
@@ -217,12 +217,13 @@ def _share_samples(record: Record, fitted: Record, smallest: int = 8) -> bool:
     """Whether outputs of two records are the same at all times that both have, so many at least."""
     if record.outputs.shape[1] != fitted.outputs.shape[1]:
         return False
-    ticks = [np.rint(r.time / record.sample_period).astype(np.int64) for r in (record, fitted)]
-    _, here, there = np.intersect1d(*ticks, return_indices=True)
-    both = record.valid[here] & fitted.valid[there]
-    outputs = record.outputs[here][both]
+    period = record.sample_period
+    ticks, fitted_ticks = np.rint(record.time / period), np.rint(fitted.time / period)
+    _, rows, fitted_rows = np.intersect1d(ticks, fitted_ticks, return_indices=True)
+    valid = record.valid[rows] & fitted.valid[fitted_rows]
+    outputs = record.outputs[rows][valid]
     moves = len(outputs) >= smallest and bool(np.ptp(outputs, axis=0).any())
-    return moves and np.array_equal(outputs, fitted.outputs[there][both])
+    return moves and np.array_equal(outputs, fitted.outputs[fitted_rows][valid])
 
 
 def _held_out_note(first: Path, record: Record) -> str:

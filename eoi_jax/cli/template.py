@@ -289,7 +289,7 @@ def _data_lines(
         lines.append(f"# other columns: {names}")
     if units:
         lines.append(f"units = {_table(units)}")
-    fitted, held_out = _divided(files, [one.parts for one in inspections])
+    fitted, held_out = _divided(files, [inspection.parts for inspection in inspections])
     lines += [fitted] if fitted else []
     lines += [
         '# hold = "zero"                # "zero": inputs held by a converter; "linear"; "smooth";',

@@ -195,7 +195,8 @@ def drop_repeats(
             "time",
             "must not repeat with different values",
             f"{stamps[i]} s at index {i - 1} and at index {i}",
-            "If the clock is too coarse, use Record.from_period.",
+            "If the clock is too coarse, or is put back at the end of daylight saving time, give "
+            "a sample period in its place (`sample_period`, or `Record.from_period`).",
         )
     distinct = np.concatenate([[True], spacing > 0])
     notes.append(

@@ -125,7 +125,7 @@ def unit_of_name(name: str) -> str:
         if end in _UNIT_OF_END:
             return _UNIT_OF_END[end]
         words = _words("_".join(head))
-        near = words[-1:] if end in _COUNTING else words
-        if any(re.fullmatch(_WORDS_OF_END.get(end, "(?!)"), word) for word in near):
+        candidates = words[-1:] if end in _COUNTING else words
+        if any(re.fullmatch(_WORDS_OF_END.get(end, "(?!)"), word) for word in candidates):
             return _SHOWN_END.get(end, end)
     return ""

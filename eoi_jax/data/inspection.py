@@ -24,7 +24,13 @@ from eoi_jax.data.readers.read_record import read_table
 from eoi_jax.data.readers.table import Table
 from eoi_jax.data.record import Record
 from eoi_jax.data.resampling import Real
-from eoi_jax.data.time_axis import NAMED, Clock, find_clock, parts_between_restarts
+from eoi_jax.data.time_axis import (
+    NAMED,
+    Clock,
+    daylight_saving,
+    find_clock,
+    parts_between_restarts,
+)
 
 _PERIODS = frozenset(["ts", "dt", "sampletime", "sampleperiod", "samplingperiod", "samplingtime"])
 _RATES = frozenset(["fs", "samplerate", "samplingrate", "samplingfrequency"])
@@ -199,7 +205,9 @@ def inspect(
         for key, values in table.columns.items()
         if len(values) != samples
     ]
-    advice = tuple(_advice(channels, clock, samples))
+    local = clock.column and table.columns[clock.column].dtype.kind == "M"
+    advice = daylight_saving(numbers[clock.column]) if clock.column and local else []
+    advice = (*advice, *_advice(channels, clock, samples))
     return Inspection(
         path, samples, clock, tuple(channels), (*left_out, *table.objects.values()),
         (*table.notes, *_unit_notes(channels, table)), advice, numbers,

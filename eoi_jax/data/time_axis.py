@@ -131,8 +131,8 @@ def _ticks(
     forward = steps[steps > 0]
     if len(forward) < (1.0 - most_repeats) * len(steps):
         return False
-    even = np.abs(forward - np.median(forward)) < width * np.median(forward)
-    return float(np.mean(even)) > 0.95 and float(np.mean(steps < 0)) < most_restarts
+    is_even = np.abs(forward - np.median(forward)) < width * np.median(forward)
+    return float(np.mean(is_even)) > 0.95 and float(np.mean(steps < 0)) < most_restarts
 
 
 def _stem(key: str) -> str:
@@ -145,10 +145,10 @@ def _stem(key: str) -> str:
 def _reason(column: str, values: Float[np.ndarray, " time"], dates: bool) -> str:
     if dates:
         return "it holds dates or times of day"
-    always = np.all(np.diff(values) > 0)
+    is_rising = np.all(np.diff(values) > 0)
     if _NAMES.match(_stem(column)):
-        return f"it {'' if always else 'mostly '}increases, and its name says so"
-    return "it increases throughout" if always else "it mostly increases, in equal steps"
+        return f"it {'' if is_rising else 'mostly '}increases, and its name says so"
+    return "it increases throughout" if is_rising else "it mostly increases, in equal steps"
 
 
 def _unit(
@@ -229,6 +229,26 @@ def parts_between_restarts(
     ranges = list(itertools.pairwise([0, *restarts.tolist(), len(stamps)]))
     long = tuple((a, b) for a, b in ranges if b - a >= settings.shortest)
     return long if long and len(ranges) <= settings.most_parts else ((0, len(stamps)),)
+
+
+def daylight_saving(stamps: np.ndarray, hour: float = 3600.0) -> list[str]:
+    """Where local times leave out an hour or have one twice, as clocks are put forward and back.
+
+    Args:
+        stamps: dates without a time zone, in seconds.
+        hour: by which clocks are put [s].
+    """
+    steps = np.diff(stamps)
+    forward = steps[steps > 0]
+    period = float(np.median(forward)) if forward.size else np.inf
+    advice = "Give times in UTC, or with their offset (+01:00)."
+    sentences = []
+    for change, what in ((-hour, "have an hour twice"), (hour, "leave out an hour")):
+        rows = np.flatnonzero(steps == period + change) + 1
+        if period <= hour and len(rows) == 1:
+            place = f"at row {rows[0]}, counted from 0"
+            sentences.append(f"The dates {what} {place}, as with daylight saving time. {advice}")
+    return sentences
 
 
 def epoch_unit(values: Float[np.ndarray, " time"]) -> tuple[str, float] | None:

@@ -43,16 +43,16 @@ def _parameter_table(plant: Plant) -> str:
     """Name, value, bounds and unit; columns of which nothing is declared are left out."""
     limits = zip(_cells(plant, plant.lower), _cells(plant, plant.upper), strict=True)
     bounds = ["" if pair == ("-inf", "inf") else f"[{', '.join(pair)}]" for pair in limits]
-    shown = (
+    table = (
         ("parameter", plant.names, "<"),
         ("value", _cells(plant, plant.theta), ">"),
         ("bounds", bounds, "<"),
         ("", ["fixed" if name in plant.fixed else "" for name in plant.names], "<"),
         ("unit", [plant.units.get(name, "") for name in plant.names], "<"),
     )
-    kept = [column for column in shown if any(column[1])]
-    rows = zip(*([title, *cells] for title, cells, _ in kept), strict=True)
-    return columns([list(row) for row in rows], "".join(column[2] for column in kept))
+    declared = [column for column in table if any(column[1])]
+    rows = zip(*([title, *cells] for title, cells, _ in declared), strict=True)
+    return columns([list(row) for row in rows], "".join(column[2] for column in declared))
 
 
 def _cells(plant: Plant, values: Any) -> list[str]:

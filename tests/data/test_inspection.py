@@ -523,3 +523,23 @@ def test_a_column_of_text_beside_an_output_is_named(tmp_path):
     rows = [f"{0.01 * k:.2f},{k // 50 % 2},{np.sin(0.1 * k):.4f},#{k}" for k in range(200)]
     path.write_text("\n".join(["t,pwm,current,counts", *rows]))
     assert "`counts` is left out: text such as '#0'." in inspect(path).advice
+
+
+@pytest.mark.parametrize(
+    ("day", "minutes", "said"),
+    [
+        ("2024-10-26", 60, "The dates have an hour twice at row 27, counted from 0, as with day"),
+        ("2024-10-26", 15, "The dates have an hour twice at row 108, counted from 0, as with day"),
+        ("2024-03-30", 60, "The dates leave out an hour at row 26, counted from 0, as with day"),
+        ("2024-06-01", 60, None),
+    ],
+)
+def test_dates_that_are_put_forward_or_back_by_an_hour_are_told(tmp_path, day, minutes, said):
+    days = pd.date_range(day, periods=3 * 24 * 60 // minutes, freq=f"{minutes}min", tz="UTC")
+    first = days - pd.Timedelta(hours=1 if "03" in day else 2)  # from midnight, local time
+    local = first.tz_convert("Europe/Berlin").strftime("%Y-%m-%d %H:%M")
+    rows = [f"{stamp},{k // 12 % 2},{np.sin(0.1 * k):.4f}" for k, stamp in enumerate(local)]
+    path = tmp_path / "run.csv"
+    path.write_text("\n".join(["date,heating,room", *rows]))
+    hints = [line for line in inspect(path).advice if "daylight" in line]
+    assert [hint[: len(said or "")] for hint in hints] == ([said] if said else [])
