@@ -494,7 +494,7 @@ class Plant(eqx.Module):
         )
         rule = f"must return shape ({ny},), one value for each of the outputs "
         good = shape == (ny,) or (ny == 1 and shape == ())
-        advice = lower if shape == (sum(self.degrees),) else ""
+        advice = lower if shape[:1] == (sum(self.degrees),) else ""
         check(good, "dynamics", rule + ", ".join(self.outputs), f"shape {shape}", advice)
         if self.actuator is not None:
             line = (

@@ -42,7 +42,13 @@ def traced_shape(field: str, function: Any, call: Callable, *arguments: Any) -> 
     """
     try:
         return jax.eval_shape(call, *arguments).shape
-    except ValueError:
+    except ValueError as error:
+        if str(error).startswith("`"):  # of a field of its own
+            raise
+        value = f"{type(error).__name__}: {error}{_line(function, error)}"
+        returns_nothing = str(error).startswith("None is not a valid value")
+        advice = "Does the function lack its `return`?" if returns_nothing else ""
+        check(False, field, "must run where it is called", value, advice)
         raise
     except _UNTRACEABLE as error:
         branch = isinstance(error, TracerBoolConversionError)

@@ -3,6 +3,7 @@
 import math
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 import pytest
 
@@ -68,3 +69,24 @@ def test_a_branch_on_a_row_of_the_outputs_says_that_it_is_no_scalar():
         ValueError, match=r"Pred must be a scalar.* `position, speed = x.y\[:, 0\]`"
     ):
         eoi.Plant(branched, {"a": 1.0})
+
+
+def test_a_function_without_return_and_arrays_that_do_not_fit_are_named():
+    def silent(t, x, u, p):
+        u - p.a * x.y[0]
+
+    with pytest.raises(ValueError, match=r"`dynamics` must run .* Does the function lack its `ret"):
+        eoi.Plant(silent, {"a": 1.0})
+
+    def misfit(t, x, u, p):
+        return p.a * jnp.dot(jnp.eye(3), x.y[0])
+
+    with pytest.raises(ValueError, match=r"`dynamics` must run where it is called, got .*line \d+"):
+        eoi.Plant(misfit, {"a": 1.0})
+
+
+def test_the_rate_of_every_state_is_refused_with_the_reason_also_in_a_column():
+    with pytest.raises(
+        ValueError, match=r"got shape \(2, 1\)\. The lower ones follow from the high"
+    ):
+        eoi.Plant(lambda t, x, u, p: (x.y[1], -p.a * x.y[0]), {"a": 1.0}, 2)
