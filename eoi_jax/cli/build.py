@@ -1,6 +1,7 @@
 """The plant, gains, effects and records that the tables of a config describe."""
 
 import contextlib
+import difflib
 import functools
 import importlib.util
 import os
@@ -417,8 +418,14 @@ def _path_of(file: str, name: str, folder: Path, data: Path | None) -> Path:
             if (root / file).is_file():
                 return root / file
     candidates = " nor ".join(str(root / file) for root in roots)
-    check(False, f"{name}.files", "must be files that exist", candidates,
-          f"Give their folder by --data or ${DATA_VARIABLE}.")  # fmt: skip
+    candidates = f"neither {candidates}" if len(roots) > 1 else candidates
+    advice = f"Give their folder by --data or ${DATA_VARIABLE}."
+    for root in roots:
+        with contextlib.suppress(OSError, ValueError):
+            names = [path.name for path in (root / file).parent.iterdir()]
+            close = difflib.get_close_matches(Path(file).name, names, n=1)
+            advice = f"Did you mean {Path(file).with_name(close[0])}? {advice}" if close else advice
+    check(False, f"{name}.files", "must be files that exist", candidates, advice)
     raise FileNotFoundError(candidates)  # not reached
 
 

@@ -255,7 +255,10 @@ def test_data_lie_in_the_given_folder_else_beside_the_config_else_in_that_of_the
     with pytest.raises(ValueError, match=r"must be files that exist.*given.*one\.csv\. Give"):
         built(path, tmp_path / "given" / "nowhere")
     (folders["variable"] / "one.csv").unlink()
-    with pytest.raises(ValueError, match=r"beside.*one\.csv nor .*variable.*one\.csv"):
+    with pytest.raises(ValueError, match=r"neither .*beside.*one\.csv nor .*variable.*one\.csv"):
+        built(path)
+    (folders["variable"] / "ones.csv").write_text("")
+    with pytest.raises(ValueError, match=r"Did you mean ones\.csv\? Give their folder by --data"):
         built(path)
 
 
