@@ -353,9 +353,11 @@ def init(
         if channel.role in ("time", "input", "output")
     )
     notes = "\n".join(f"- {line}" for line in (*inspection.notes, *inspection.advice))
+    is_timed = inspection.clock.sample_period is not None
+    step = "" if is_timed else "insert the sample_period [s], which the file does not tell, then "
     text = (
         f"Guesses:\n{guesses}\n{notes}\n\n{config_path} written; "
-        f"next: eoi identify {shell_word(config_path)}"
+        f"next: {step}eoi identify {shell_word(config_path)}"
     )
     return Outcome({"config": str(config_path), **facts}, text, config_path)
 

@@ -185,8 +185,10 @@ def _head(inspection: Inspection, name: str, target: Path) -> str:
         for channel in inspection.channels
         if channel.why
     ][:20]
+    is_timed = inspection.clock.sample_period is not None
+    state = "ready to run" if is_timed else "insert the sample_period below, then run"
     lines = [
-        f"# Drafted by `eoi init` from {_one_line(inspection.path.name)}: ready to run:",
+        f"# Drafted by `eoi init` from {_one_line(inspection.path.name)}: {state}:",
         f"#   eoi identify {_one_line(shell_word(target))}",
         "# Everything in it is a guess from the values and names of the columns:",
         *(f"#   {_one_line(line)}" for line in guesses),

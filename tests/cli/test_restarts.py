@@ -136,3 +136,14 @@ def test_new_data_of_a_saved_model_are_divided_where_the_logger_restarts(tmp_pat
     found = build.records_of_files(config, plant, new)
     assert [record.name for record in found] == ["new, part 1", "new, part 2", "a"]
     assert [len(record) for record in found] == [400, 300, 700]
+
+
+def test_a_draft_without_a_clock_asks_for_the_sample_period_first(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    lines = written(tmp_path, "log.csv", 300).read_text().splitlines()
+    (tmp_path / "log.csv").write_text("\n".join(line.partition(",")[2] for line in lines))
+    done = CliRunner().invoke(app, ["init", "log.csv"])
+    said = "next: insert the sample_period [s], which the file does not tell, then eoi identify"
+    assert said in " ".join(done.output.split())
+    first = (tmp_path / "log.toml").read_text().splitlines()[0]
+    assert first.endswith("from log.csv: insert the sample_period below, then run:")
