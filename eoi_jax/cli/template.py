@@ -296,6 +296,7 @@ def _data_lines(
     lines += [
         '# hold = "zero"                # "zero": inputs held by a converter; "linear"; "smooth";',
         '                               # or by column: { heating = "zero", outdoor = "linear" }',
+        *_held_lines(inspection, inputs),
         "# burn_in = 0.0                 # time at the start that is not scored [s]",
         "",
         f"[validation]                    # {held_out[0]}, which the fit does not use",
@@ -303,6 +304,18 @@ def _data_lines(
         "",
     ]
     return "\n".join(lines)
+
+
+def _held_lines(inspection: Inspection, inputs: Sequence[str]) -> list[str]:
+    """The hold of inputs that keep their values between changes, to be declared by who knows it."""
+    channels = [channel for channel in inspection.channels if channel.name in inputs]
+    holds = {channel.name: "zero" for channel in channels if channel.noise is None}
+    if not holds:
+        return []
+    return [
+        f"# hold = {_table(holds)}",
+        "                               # held between changes: declare it if a converter sets it",
+    ]
 
 
 def _divided(

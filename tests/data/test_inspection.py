@@ -543,3 +543,18 @@ def test_dates_that_are_put_forward_or_back_by_an_hour_are_told(tmp_path, day, m
     path.write_text("\n".join(["date,heating,room", *rows]))
     hints = [line for line in inspect(path).advice if "daylight" in line]
     assert [hint[: len(said or "")] for hint in hints] == ([said] if said else [])
+
+
+def test_a_draft_offers_the_hold_of_inputs_that_keep_their_values(tmp_path):
+    t = 0.1 * np.arange(400)
+    heating, outdoor = np.sign(np.sin(t)), np.cos(0.3 * t) + 0.01 * np.sin(40.0 * t)
+    room = np.cumsum(heating + outdoor) * 0.1
+    path, target = tmp_path / "run.csv", tmp_path / "run.toml"
+    table = np.column_stack([t, heating, outdoor, room])
+    np.savetxt(path, table, delimiter=",", header="t,heating,outdoor,room", comments="")
+    found = inspect(path, inputs=["heating", "outdoor"], outputs=["room"])
+    text = draft([found], target)
+    offered = '# hold = { "heating" = "zero" }'
+    assert offered in text
+    target.write_text(checked(text.replace(offered, offered[2:]), target))
+    assert config.load(target).data.hold == {"heating": "zero"}
