@@ -13,6 +13,8 @@ CALLS = {
     "identify(plant, [3])": "`records` must be a Record or several, got int",
     "identify(plant, time)": "`records` must be a Record or several, got an array. Make one of it, "
     "`Record(time, inputs, outputs)`; for arrays there is `observe`.",
+    "identify(plant, (time, time))": "`records` must be a Record or several, got an array.",
+    "identify(plant, 'run.csv')": "`records` must be a Record or several, got run.csv. Read it",
     "identify(plant, 3)": "`records` must be a Record or several, got int",
     "identify('pendulum', run)": "`plant` must be a Plant, got str",
     "sweep(plant, run, substeps=2.5)": "`substeps` must be an integer ≥ 1, got 2.5",

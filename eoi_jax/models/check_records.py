@@ -1,6 +1,7 @@
 """Check that records match the plant that is fitted to them."""
 
 from collections.abc import Iterable, Sequence
+from pathlib import PurePath
 
 import jax
 import numpy as np
@@ -23,9 +24,13 @@ def check_records(plant: Plant, records: Record | Sequence[Record]) -> tuple[Rec
     check_kind("plant", plant, Plant, "a Plant")
     if isinstance(records, Record):
         records = (records,)
-    is_array = isinstance(records, np.ndarray | jax.Array)
+    is_path = isinstance(records, str | PurePath)
+    rule, advice = "must be a Record or several", "Read it with `read_record`."
+    check(not is_path, "records", rule, records, advice)
+    elements = records if isinstance(records, list | tuple) else (records,)
+    is_array = any(isinstance(element, np.ndarray | jax.Array) for element in elements)
     advice = "Make one of it, `Record(time, inputs, outputs)`; for arrays there is `observe`."
-    check(not is_array, "records", "must be a Record or several", "an array", advice)
+    check(not is_array, "records", rule, "an array", advice)
     check_kind("records", () if records is None else records, Iterable, "a Record or several")
     data_set = tuple(records or ())
     check(len(data_set) > 0, "records", "must hold at least one record", "none")
