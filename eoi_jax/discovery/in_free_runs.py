@@ -227,11 +227,11 @@ def with_further_effects(
         if not answer.better_base:
             return replace(discovery, notes=(*discovery.notes, *hints))
     fit = _fit_of(discovery, answer, model, lowpass)
-    before, windows = discovery.before, discovery.windows_after
-    assert before is not None
+    long_runs, windows = discovery.before, discovery.windows_after
+    assert long_runs is not None
     assert windows is not None
     added = _added(discovery, answer, fit, model)
-    runs = whole_and_windows(fit.plant, answer.judging, windows.window, before.window)
+    runs = whole_and_windows(fit.plant, answer.judging, windows.window, long_runs.window)
     searched = [note for note in discovery.notes if isinstance(note, GridNote)]
     notes = [*_lasting(discovery, answer), *searched, *hints]
     notes.append(_FURTHER.format(labels_of(further), ratio) if further else _BETTER)

@@ -80,7 +80,7 @@ class Judge:
         heads = (min(_RULES.start, count // 3), min(_RULES.start, shortest // _RULES.blocks + 3))
         judge = cls(records, count * records[0].sample_period, *heads)
         whole = judged_runs(plant, records, judge.whole_head)
-        growth = growth_that_rules(plant, whole, most=_RULES.misled)
+        growth = growth_that_rules(plant, whole, limit=_RULES.misled)
         if growth is None:
             return judge
         period = records[0].sample_period

@@ -71,8 +71,8 @@ class Task:
     @cached_property
     def longest(self) -> float | None:
         """Length of long free runs [s] where whole ones say nothing; None: whole records."""
-        most = RULES.judge.misled
-        growth = growth_that_rules(self.declared.plant, self.whole_runs, most=most)
+        limit = RULES.judge.misled
+        growth = growth_that_rules(self.declared.plant, self.whole_runs, limit=limit)
         return None if growth is None else growth.window
 
     @cached_property

@@ -39,9 +39,9 @@ class OwnUnknowns:
             starts[run, :, : basis.shape[1]] = basis
         columns = slopes[..., start_size:].reshape(-1, slopes.shape[-1] - start_size)
         size = np.linalg.norm(columns, axis=0)
-        left = cls(starts, np.zeros((len(columns), 0))).removed_from(columns)
-        left = left / np.where(size > 0, size, 1.0)
-        vectors, values, _ = np.linalg.svd(left, full_matrices=False)
+        reduced = cls(starts, np.zeros((len(columns), 0))).removed_from(columns)
+        reduced = reduced / np.where(size > 0, size, 1.0)
+        vectors, values, _ = np.linalg.svd(reduced, full_matrices=False)
         return cls(starts, vectors[:, values > tolerance])
 
     def removed_from(self, columns: Columns) -> Columns:

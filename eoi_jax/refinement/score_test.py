@@ -99,7 +99,7 @@ class LinearisedRuns:
         problem: its runs.
         stages: times, inputs, y (runs, samples, 3, r, ny) and z (runs, samples, 3, nz) of each
             run at the start, the middle and the end of each sample.
-        own: what the model's own unknowns can do to the errors.
+        unknowns: what the model's own unknowns can do to the errors.
         residual: r less these.
         records: of the runs.
         response: of the runs, to small forces.
@@ -108,7 +108,7 @@ class LinearisedRuns:
     plant: Plant
     problem: Problem
     stages: tuple[Any, ...]
-    own: OwnUnknowns
+    unknowns: OwnUnknowns
     residual: Float[np.ndarray, " rows"]
     records: tuple[Record, ...]
     response: Response
@@ -126,14 +126,14 @@ class LinearisedRuns:
         unknowns = Unknowns(theta, jnp.asarray(np.stack(starts)))
         sensitivities = _flat(signals(unknowns, problem))
         size = unknowns.starts.shape[1]
-        own = OwnUnknowns.of(sensitivities[..., :-1], size, _SETTINGS.rank_tolerance)
-        residual = own.removed_from(sensitivities[..., -1].reshape(-1, 1))[:, 0]
+        space = OwnUnknowns.of(sensitivities[..., :-1], size, _SETTINGS.rank_tolerance)
+        residual = space.removed_from(sensitivities[..., -1].reshape(-1, 1))[:, 0]
         time, inputs, y, z = _steps(problem, unknowns)
         response = response_of(
             plant, time, inputs, y[:, :-1], z[:, :-1], np.asarray(problem.steps), substeps
         )
         stages = _stages(problem, inputs, y, z)
-        return cls(plant, problem, stages, own, residual, tuple(records), response)
+        return cls(plant, problem, stages, space, residual, tuple(records), response)
 
     def signal_statistics(self, placed: Placed) -> Seen:
         """What the grids of shapes start from."""
@@ -172,7 +172,7 @@ class LinearisedRuns:
                 return []
             columns = self._columns(forces)
         power = np.sum(columns**2, axis=0)
-        columns = self.own.removed_from(columns)
+        columns = self.unknowns.removed_from(columns)
         remaining_power = np.sum(columns**2, axis=0)
         new = np.isfinite(remaining_power) & (remaining_power > _SETTINGS.min_new * power)
         count = columns.shape[1] // len(grid)

@@ -199,7 +199,7 @@ def validate(
 
 
 def growth_that_rules(
-    plant: Plant, whole: Validation, initial_samples: int | None = None, most: float = 1.0
+    plant: Plant, whole: Validation, initial_samples: int | None = None, limit: float = 1.0
 ) -> ErrorGrowth | None:
     """How errors of a start grow, where they rule whole free runs; None where these can be judged.
 
@@ -207,9 +207,9 @@ def growth_that_rules(
         plant: that was simulated.
         whole: its free runs through whole records.
         initial_samples: from which they started; None: as many as `validate` takes.
-        most: error over the spread of an output, up to which a whole run says something.
+        limit: error over the spread of an output, up to which a whole run says something.
     """
-    if plant.sampled is not None or not is_lost(whole.nrmse, np.full_like(whole.nrmse, most)):
+    if plant.sampled is not None or not is_lost(whole.nrmse, np.full_like(whole.nrmse, limit)):
         return None  # the growth of errors is that of the plant without its controller
     growth = error_growth(plant, whole.records, initial_samples)
     return growth if growth.growing and growth.cuts(whole.records) else None

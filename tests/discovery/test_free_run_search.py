@@ -270,6 +270,54 @@ def test_of_a_plant_that_is_unstable_windows_judge_where_whole_runs_are_lost():
     assert stable.longest is None
 
 
+def begun(hold="zero"):
+    records, judging = (
+        (eoi.Record(made.time, made.inputs, made.outputs, hold=hold, input_names=("voltage",),
+                    output_names=("temperature",), units=made.units),)
+        for made in (measured(1), measured(2))
+    )  # fmt: skip
+    judge = Judge.of(judging, PLATE)
+    assert judge is not None
+    search = Search.begun([PLATE], records, judge)
+    assert search is not None
+    return search
+
+
+def with_effect(search, effect, best, values):
+    """A fit with an effect more."""
+    plant = best.refinement.plant
+    placed = place(plant, effect, 0)
+    start = dict(zip(placed.names, values, strict=True))
+    return search.fitted(augmented(plant, [placed], start), (placed,), best)
+
+
+def test_an_effect_that_stood_in_for_a_new_one_goes_when_nothing_tells_its_size_any_more():
+    """What the store does not take up yet looks like a lamp that saturates, as long as it lacks."""
+    search = begun()
+    clipped = with_effect(search, effects.InputSaturation(), search.base, [7.0])
+    assert clipped is not None
+    assert [item.effect.name for item in clipped.placed] == ["input_saturation"]
+    stored = with_effect(search, effects.SecondNode(), clipped, [0.01, 0.01])
+    assert stored is not None
+    assert [item.effect.name for item in stored.placed] == ["second_node"]
+    values = stored.refinement.parameters
+    assert values["second_node_rate"] == pytest.approx(TRUE["rate"], rel=0.05)
+    # A new effect of unknown size is none.
+    assert with_effect(search, effects.InputSaturation(), stored, [7.0]) is None
+
+
+def test_the_hold_is_chosen_again_for_the_answer():
+    """Held inputs, taken as going on between samples: the store is found, and then the hold."""
+    linear, zero = begun("linear"), begun("zero")
+    best = with_effect(linear, effects.SecondNode(), linear.base, [0.01, 0.01])
+    assert best is not None
+    search, answer = free_run_search._made_best([linear, zero], linear, best)
+    assert search is zero
+    assert answer.error < best.error - 0.5
+    assert free_run_search._made_best([linear, zero], zero, answer) == (zero, answer)
+    assert free_run_search._made_best([linear, zero], linear, linear.base)[0] is linear
+
+
 @pytest.mark.parametrize(("noise", "windows"), [(0.05, 10), (0.4, 5), (0.8, 3), (5.0, 3)])
 def test_windows_are_as_short_as_leaves_motion_in_them(noise, windows):
     """A ramp of 20 over the record: in one of n windows its standard deviation is 20/n/√12."""
