@@ -39,7 +39,10 @@ from eoi_jax.refinement.score_test import LinearisedRuns
 from eoi_jax.refinement.spans import spans_of
 
 _RULES = RULES.curves
-_SHAPES = (Curve("y", ()), Curve("v", ()), Curve("y", (), "v"), Curve("y", (), "u"))
+_SHAPES = (
+    Curve("y", ()), Curve("v", ()), Curve("y", (), "v"), Curve("y", (), "sign"),
+    Curve("y", (), "u"),
+)  # fmt: skip
 
 
 def misses_a_law(discovery: Discovery) -> bool:

@@ -28,12 +28,12 @@ _PINNED = (0.25, 0.75)  # where on the range of its knots a curve is zero
 
 @dataclass(frozen=True)
 class Curve(AbstractTerm):
-    """(offset + slope (x - k₀) + s(x)) w, added to y^(r): x = y, ẏ or u; w = 1, ẏ or u.
+    """(offset + slope (x - k₀) + s(x)) w, added to y^(r): x = y, ẏ or u; w = 1, ẏ, sign ẏ or u.
 
     Attributes:
         over: x, "y", "v" or "u".
         knots: k, rising [unit of x]; none for a straight line.
-        times: w, "", "v" or "u".
+        times: w, "", "v", "sign" (of ẏ: dry friction whose level follows x) or "u".
         offset, slope: whether these are parameters.
 
     Raises:
@@ -51,13 +51,14 @@ class Curve(AbstractTerm):
 
     def __post_init__(self) -> None:
         check_choice("over", self.over, ("y", "v", "u"))
-        check_choice("times", self.times, ("", "v", "u"))
+        check_choice("times", self.times, ("", "v", "sign", "u"))
         _check_knots(self.knots)
 
     @property
     def sentence(self) -> str:  # pyright: ignore[reportIncompatibleVariableOverride]
         """Completes "the model lacks …"."""
-        factor = {"": "a", "v": "the velocity times a", "u": "the input times a"}[self.times]
+        factors = {"": "a", "v": "the velocity times a", "u": "the input times a"}
+        factor = {**factors, "sign": "dry friction whose level is a"}[self.times]
         signal = {"y": "output", "v": "velocity", "u": "input"}[self.over]
         return f"{factor} function of the {signal} (a curve, no law of the library)"
 
@@ -74,14 +75,14 @@ class Curve(AbstractTerm):
     @property
     def form(self) -> str:
         """Its signal, and the factor if it has one."""
-        names = {"v": "y'"}
+        names = {"v": "y'", "sign": "sign(y')"}
         factor = f", times {names.get(self.times, self.times)}" if self.times else ""
         return f"of {names.get(self.over, self.over)}{factor}"
 
     @property
     def gains(self) -> tuple[Parameter, ...]:  # pyright: ignore[reportIncompatibleVariableOverride]
         """Offset and slope, where they are parameters, then values at the knots."""
-        unit = {"": "{f}", "v": "{f/v}", "u": ""}[self.times]
+        unit = {"": "{f}", "v": "{f/v}", "sign": "{f}", "u": ""}[self.times]
         rise = "" if self.times else "{f/" + self.over + "}"
         line = [Parameter(f"{self.over}_offset", unit)] if self.offset else []
         line += [Parameter(f"{self.over}_slope", rise)] if self.slope else []
@@ -89,15 +90,16 @@ class Curve(AbstractTerm):
 
     def fits(self, plant: Plant, output: int) -> bool:
         """Whether the output has the states that the curve depends on, the plant an input."""
-        signals = self.over, self.times
-        return plant.degrees[output] > ("v" in signals) and (
-            "u" not in signals or bool(plant.inputs)
-        )
+        signals = {self.over, self.times}
+        least = 1 if signals.isdisjoint({"v", "sign"}) else 2
+        return plant.degrees[output] >= least and ("u" not in signals or bool(plant.inputs))
 
     def term(self, at: At, gain: Any, shape: Any) -> Any:
         """What it adds to y^(r), linear in `gain`."""
         del shape
         curve = value(getattr(at, self.over), self.knots, gain, self.offset, self.slope)
+        if self.times == "sign":
+            return curve * jnp.sign(at.v)
         return curve * getattr(at, self.times) if self.times else curve
 
     def curve(

@@ -363,6 +363,7 @@ class _EffectFormulas:
             output = self._plant.outputs[self.placed.output]
             signals = {"y": Symbol(output), "v": Symbol(output, self.placed.row)}
             signals["u"] = Symbol((*self._plant.inputs, "u")[self.placed.through or 0])
+            signals["sign"] = Call("sign", (signals["v"],))
             curve = Call("curve", (signals[effect.over],))
             return Operation("*", curve, signals[effect.times]) if effect.times else curve
         return self._formulas(effect.term)[0]

@@ -65,6 +65,31 @@ def test_offset_slope_and_factor(values):
     np.testing.assert_allclose(straight.term(at(y=x), [2.0], ()), 2.0 * x)
 
 
+def test_a_friction_whose_level_follows_the_output(values):
+    y, v = np.linspace(-3.0, 5.0, 17), np.tile([1.5, -0.2], 9)[:17]
+    level = Curve("y", KNOTS, offset=False).term(at(y=y), list(values), ())
+    friction = Curve("y", KNOTS, times="sign")
+    got = friction.term(at(y=y, v=v), [-2.0, *values], ())
+    np.testing.assert_allclose(got, (level - 2.0) * np.sign(v), rtol=1e-12)
+    assert friction.form == "of y, times sign(y')"
+    assert friction.sentence.startswith("dry friction whose level is a function of the output")
+    assert {gain.unit for gain in friction.gains} == {"{f}"}
+    first_order = eoi.Plant(lambda t, x, u, p: -p.a * x.y[0], {"a": 1.0})
+    assert not friction.fits(first_order, 0)
+    assert friction.fits(eoi.Plant(lambda t, x, u, p: -p.a * x.y[0], {"a": 1.0}, 2), 0)
+
+
+def test_a_plant_with_such_a_friction_rests_where_it_holds(values):
+    """Level 3 everywhere: a push of 2.9 does not move it, one of 3.5 accelerates it with 0.5."""
+    mass = eoi.Plant(lambda t, x, u, p: p.b * u, {"b": 1.0}, 2, inputs=("u",), outputs=("y",))
+    placed = place(mass, Curve("y", KNOTS, times="sign"), 0)
+    rubbing = augmented(mass, [placed], dict(zip(placed.names, [-3.0, *0.0 * values], strict=True)))
+    time = np.arange(0.0, 1.0, 0.01)
+    for push, distance in ((2.9, 0.0), (3.5, 0.25)):
+        run = eoi.simulate(rubbing, time, np.full(100, push), hold="zero")
+        assert run.outputs[-1, 0] == pytest.approx(distance * time[-1] ** 2, abs=1e-9)
+
+
 def test_input_curve_adds_to_the_input(values):
     u = np.linspace(-3.0, 5.0, 17)
     spline = Curve("y", KNOTS, offset=False).term(at(y=u), list(values), ())
