@@ -2,7 +2,8 @@
 
 The files are not part of the repository (`found_sets`). Figures are those of `campaign_cases`: root
 mean squares of whole free runs and of runs that start again ten times a record, on the part that
-chose nothing. Eight more, of short records, stand in `found_short_cases`.
+chose nothing. Eight more, of short records, stand in `found_short_cases`, and eight of driven and
+swinging rigs in `found_driven_cases`.
 
 Six of the first thirteen cases are set aside (`aside`), to be opened once, at the end. They were
 drawn by `random.Random(20261127).sample(sorted(FIRST), 6)`.
@@ -18,6 +19,7 @@ from scipy.signal import savgol_filter
 
 import eoi_jax as eoi
 from benchmarks.measured.campaign_cases import Rig
+from benchmarks.measured.found_driven_cases import DRIVEN
 from benchmarks.measured.found_sets import FoundSet, quarters, records, table
 from benchmarks.measured.found_short_cases import SHORT
 
@@ -391,4 +393,4 @@ FIRST: Mapping[str, FoundSet] = {
         "BrowserForkCompoundFirst1.mat of https://github.com/moorepants/BicycleParameters (tests)",
     ),
 }
-FOUND: Mapping[str, FoundSet] = {**FIRST, **SHORT}
+FOUND: Mapping[str, FoundSet] = {**FIRST, **SHORT, **DRIVEN}

@@ -14,6 +14,7 @@ from benchmarks.measured import campaign
 from benchmarks.measured import measured_rigs as rigs
 from benchmarks.measured import wiener_hammerstein as circuit
 from benchmarks.measured.found_cases import FIRST, FOUND
+from benchmarks.measured.found_driven_cases import DRIVEN
 from benchmarks.measured.found_sets import sets_directory
 from benchmarks.measured.found_short_cases import SHORT
 
@@ -79,7 +80,9 @@ def test_published_parameters_come_back_from_elsewhere(
         assert result.parameters[key] == pytest.approx(known, rel=share), key
 
 
-@pytest.mark.parametrize(("seed", "cases"), [(20261127, FIRST), (20261128, SHORT)])
+@pytest.mark.parametrize(
+    ("seed", "cases"), [(20261127, FIRST), (20261128, SHORT), (20261129, DRIVEN)]
+)
 def test_a_seed_sets_half_of_the_found_cases_aside(seed, cases):
     drawn = random.Random(seed).sample(sorted(cases), len(cases) // 2)
     assert sorted(drawn) == sorted(name for name, case in cases.items() if case.aside)
