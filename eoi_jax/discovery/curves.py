@@ -57,7 +57,8 @@ def misses_a_law(discovery: Discovery) -> bool:
     if any(isinstance(item.effect, AbstractInternalEffect) for item in discovery.added):
         return False
     answers = ("unexplained", "partial", "complete")
-    unexplained = beyond_noise(discovery.windows_after, discovery.held_out)
+    runs = discovery.windows_after or discovery.after
+    unexplained = beyond_noise(runs, discovery.held_out)
     return discovery.status.code in answers and (bool(unexplained) or _crowded(discovery.added))
 
 

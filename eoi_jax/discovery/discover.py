@@ -168,7 +168,7 @@ def discover(
     else:
         search = replace(search, lowpass=indices.lowpass)
         searched = with_best_hold(search.on, fit_records, held_out, indices)
-    discovery = search.in_free_runs(searched, fit_records, held_out)
+    discovery = _partial_where_more_is_left(search.in_free_runs(searched, fit_records, held_out))
     unplaced_notes = (
         [] if effects is None else notes_without_place(tried_effects, fitting, discovery)
     )
@@ -304,6 +304,17 @@ def _with_doubts(task: Task, discovery: Discovery, refined: bool) -> Discovery:
     suggestion = "" if refined else _REFINE_HINT
     notes = (FitNote(doubt + suggestion) for doubt in doubts)
     return replace(discovery, notes=(*discovery.notes, *notes))
+
+
+def _partial_where_more_is_left(discovery: Discovery) -> Discovery:
+    """An answer that takes less than is asked for is partial where free runs miss by more, too."""
+    status, runs = discovery.status, discovery.windows_after or discovery.after
+    part = bool(discovery.added) and discovery.explained < _RULES.explained
+    if status.code != "complete" or not part or discovery.in_sample:
+        return discovery
+    if not beyond_noise(runs, discovery.held_out):
+        return discovery
+    return replace(discovery, status=Status("partial", f"{status.message}; {_MORE_LEFT}"))
 
 
 def _no_progress(stage: str, done: int, stages: int) -> None:
@@ -522,6 +533,7 @@ def _share_of_simpler(
     return share, answered(share, relative_residual)
 
 
+_MORE_LEFT = "free runs on the held-out records miss by more than noise"
 _NO_SAMPLE = (
     "no sample of the records counts: motion is hidden in noise at the cut-off {:.4g} rad/s, or "
     "the plant rests all the time. Give a `lowpass` with a lower cut-off, or records with more "

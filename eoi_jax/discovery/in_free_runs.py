@@ -133,7 +133,8 @@ def leaves_more(discovery: Discovery) -> bool:
     """Whether an answer that explains the injection misses held-out records by more than noise."""
     if discovery.in_sample or not discovery.added or discovery.plant.has_algebraic:
         return False
-    if discovery.status.code != "complete" or discovery.windows_after is None:
+    runs = discovery.windows_after or discovery.after
+    if discovery.status.code != "complete" or runs is None:
         return False
     # What an effect does to an internal state no other one of a measured signal does.
     final = Curve | InputCurve | AbstractInternalEffect
@@ -141,7 +142,6 @@ def leaves_more(discovery: Discovery) -> bool:
         return False
     # An error below what was taken for noise: that was fast motion, and tells nothing.
     noise = np.max([record.noise for record in discovery.held_out], axis=0)
-    runs = discovery.windows_after
     motion = np.any((runs.rmse < _RULES.motion * noise) & (runs.nrmse > _RULES.small))
     return bool(motion) or bool(beyond_noise(runs, discovery.held_out))
 
@@ -227,11 +227,11 @@ def with_further_effects(
         if not answer.better_base:
             return replace(discovery, notes=(*discovery.notes, *hints))
     fit = _fit_of(discovery, answer, model, lowpass)
-    long_runs, windows = discovery.before, discovery.windows_after
+    long_runs, short_runs = discovery.before, discovery.windows_after
     assert long_runs is not None
-    assert windows is not None
+    window = None if short_runs is None else short_runs.window
     added = _added(discovery, answer, fit, model)
-    runs = whole_and_windows(fit.plant, answer.judging, windows.window, long_runs.window)
+    runs = whole_and_windows(fit.plant, answer.judging, window, long_runs.window)
     searched = [note for note in discovery.notes if isinstance(note, GridNote)]
     notes = [*_lasting(discovery, answer), *searched, *hints]
     notes.append(_FURTHER.format(labels_of(further), ratio) if further else _BETTER)

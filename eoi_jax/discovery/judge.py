@@ -64,9 +64,9 @@ class Judge:
     def of(cls, records: tuple[Record, ...], plant: Plant) -> "Judge | None":
         """The judge of a model and of what is added to it; None with records too short for windows.
 
-        Windows are long enough for motion beyond the noise. Of an unstable plant a whole run says
-        nothing where it misses by much: the error of its start grows. Windows in which it stays
-        small are then the long runs.
+        Windows are long enough for motion beyond the noise, and to know their starts. Of an
+        unstable plant a whole run says nothing where it misses by much: the error of its start
+        grows. Windows in which it stays small are then the long runs.
 
         Args:
             records: that judge.
@@ -75,6 +75,7 @@ class Judge:
         shortest = min(len(record) for record in records)
         moving = [parts for parts in _RULES.windows if _moves(records, shortest // parts)]
         count = max(shortest // max(moving, default=min(_RULES.windows)), _RULES.min_window)
+        count = max(count, min(_RULES.min_window * plant.rows, shortest // 3))
         if 2 * count > shortest:
             return None
         heads = (min(_RULES.start, count // 3), min(_RULES.start, shortest // _RULES.blocks + 3))

@@ -234,7 +234,7 @@ class JudgeRules:
     windows: tuple[int, ...] = (10, 5, 3)
     motion: float = 3.0  # spread of an output in a window over its noise, at least
     start: int = 50  # samples that give the state of a run, at most; a third of a short run
-    min_window: int = 12  # samples
+    min_window: int = 12  # samples, for each unknown of the start of an output
     # Error of a whole run over the spread, from which on it says nothing of a plant in which errors
     # of a start grow. Set with dfki_simple_pendulum in view.
     misled: float = 0.1

@@ -318,6 +318,17 @@ def test_the_hold_is_chosen_again_for_the_answer():
     assert free_run_search._made_best([linear, zero], linear, linear.base)[0] is linear
 
 
+@pytest.mark.parametrize(("degree", "count"), [(1, 13), (2, 24), (3, 36)])
+def test_windows_of_short_records_give_a_start_with_velocities(degree, count):
+    """Twelve samples for each derivative from zero on, a third of which are the start."""
+    time = np.arange(130.0)
+    plant = eoi.Plant(lambda t, x, u, p: -p.a * x.y[degree - 1], {"a": 1.0}, degree)
+    judge = Judge.of((eoi.Record.from_period(1.0, 0.0 * time, np.sin(time), hold="zero"),), plant)
+    assert judge is not None
+    assert judge.window == count
+    assert judge.head == count // 3
+
+
 @pytest.mark.parametrize(("noise", "windows"), [(0.05, 10), (0.4, 5), (0.8, 3), (5.0, 3)])
 def test_windows_are_as_short_as_leaves_motion_in_them(noise, windows):
     """A ramp of 20 over the record: in one of n windows its standard deviation is 20/n/√12."""

@@ -8,6 +8,7 @@ import pytest
 import eoi_jax as eoi
 from eoi_jax import effects
 from eoi_jax._status import Status
+from eoi_jax.discovery.discover import _partial_where_more_is_left
 from eoi_jax.discovery.in_free_runs import (
     leaves_more,
     leaves_open,
@@ -105,13 +106,28 @@ def test_a_model_that_a_constant_is_better_than_does_not_lack_nothing(found):
     assert not leaves_open(replace(quiet, after=None))
 
 
+def test_an_answer_to_a_part_is_partial_where_free_runs_show_the_rest(found):
+    """Complete is what leaves noise in the injection and in free runs."""
+    left = replace(judged_on(found, record({}, 4)), explained=0.6)
+    answer = _partial_where_more_is_left(left)
+    assert answer.status.code == "partial"
+    assert answer.status.message == (
+        f"{left.status.message}; free runs on the held-out records miss by more than noise"
+    )
+    assert _partial_where_more_is_left(replace(left, windows_after=None)).status == answer.status
+    assert _partial_where_more_is_left(replace(left, explained=0.95)).status == left.status
+    assert _partial_where_more_is_left(replace(left, in_sample=True)).status == left.status
+    assert _partial_where_more_is_left(found) == found
+
+
 def test_what_is_questioned(found):
     left = judged_on(found, record({}, 4))
     assert leaves_more(left)
     assert not leaves_more(found)
     assert not leaves_more(replace(left, in_sample=True))
     assert not leaves_more(replace(left, added=()))
-    assert not leaves_more(replace(left, windows_after=None))
+    assert leaves_more(replace(left, windows_after=None))
+    assert not leaves_more(replace(left, windows_after=None, after=None))
     curved = replace(left.added[0], effect=Curve("y", ()))
     assert not leaves_more(replace(left, added=(curved,)))
     # An error far below what was read as noise: that was motion, and worth a search.
