@@ -98,11 +98,9 @@ def search_free_runs(
     judge = Judge.of(variants[0][1], starts[0])
     if judge is None:
         return None
-    searches = [
-        search
-        for records, judging in variants
-        if (search := Search.begun(starts, records, replace(judge, records=judging), present))
-    ]
+    searches = _begun(starts, variants, judge, present)
+    if searches and all(search.is_lost for search in searches):
+        searches = _begun(starts, variants, judge.without_whole_runs(), present)
     if not searches:
         return None
     search = _most_likely(searches)
@@ -166,21 +164,20 @@ class Search:
         present: tuple[Placed, ...] = (),
     ) -> "Search | None":
         """With the best base of each length of runs; None without a fit."""
+        bases: list[Judged] = []
         searched = _portion(records)
+        for window in (judge.longest, judge.window):
+            fits = [_fitted(start, present, searched, window, judge) for start in starts]
+            fits = [fit for fit in fits if fit is not None]
+            bases += [min(fits, key=lambda fit: fit.error)] if fits else []
+        ordered = sorted(bases, key=lambda fit: fit.error)
+        return cls(records, searched, judge, tuple(ordered)) if bases else None
 
-        def fitted(judge: Judge) -> list[Judged]:
-            bases = []
-            for window in (judge.longest, judge.window):
-                fits = [_fitted(start, present, searched, window, judge) for start in starts]
-                fits = [fit for fit in fits if fit is not None]
-                bases += [min(fits, key=lambda fit: fit.error)] if fits else []
-            return sorted(bases, key=lambda fit: fit.error)
-
-        bases = fitted(judge)
-        if judge.longest is None and bases and all(judge.is_lost(fit.runs) for fit in bases):
-            judge = judge.without_whole_runs()
-            bases = fitted(judge)
-        return cls(records, searched, judge, tuple(bases)) if bases else None
+    @property
+    def is_lost(self) -> bool:
+        """Whether whole free runs of the declared model say nothing, however it is refined."""
+        whole = self.judge.longest is None
+        return whole and all(self.judge.is_lost(base.runs) for base in self.bases)
 
     def answer(self, best: Judged, start: Plant) -> FreeRunAnswer:
         """What the search came to, from this declared model."""
@@ -400,6 +397,20 @@ def _most_likely(searches: Sequence[Search]) -> Search:
 def _in_time(placed: Sequence[Placed]) -> bool:
     """Whether one of some effects is a disturbance in time."""
     return any(isinstance(item.effect, Drift | SinusoidalDisturbance) for item in placed)
+
+
+def _begun(
+    starts: Sequence[Plant],
+    variants: Sequence[RecordPair],
+    judge: Judge,
+    present: tuple[Placed, ...],
+) -> list[Search]:
+    """Searches on records made in each way, judged alike."""
+    searches = [
+        Search.begun(starts, records, replace(judge, records=judging), present)
+        for records, judging in variants
+    ]
+    return [search for search in searches if search is not None]
 
 
 def _made_best(searches: Sequence[Search], search: Search, best: Judged) -> tuple[Search, Judged]:

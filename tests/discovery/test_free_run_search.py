@@ -343,18 +343,17 @@ def test_windows_are_as_short_as_leaves_motion_in_them(noise, windows):
 def test_a_base_that_is_lost_over_whole_records_is_judged_in_windows():
     """An integrator that something unknown drives, too: no parameter keeps it near the record."""
     time = 0.1 * np.arange(600)
-    force = np.sin(time)
-    drifting_away = 3.0 * (1.0 - np.cos(0.08 * time)) + (time - np.sin(time))
-    plant = eoi.Plant(lambda t, x, u, p: p.b * u, {"b": 1.0}, 2)
-    record = eoi.Record(time, force, drifting_away, hold="linear")
-    held = eoi.Record(time, force, (time - np.sin(time)) - 20.0 * np.sin(0.1 * time), hold="linear")
-    judge = Judge.of((held,), plant)
-    assert judge is not None
-    search = Search.begun([plant], (record,), judge)
-    assert search is not None
-    assert (search.judge.longest is not None) == all(
-        judge.is_lost(judge.runs(base.refinement.plant)) for base in search.bases
+    force, plant = np.sin(time), eoi.Plant(lambda t, x, u, p: p.b * u, {"b": 1.0}, 2)
+    unknown = (3.0 * np.cos(0.08 * time), -20.0 * np.sin(0.1 * time))
+    record, held = (
+        eoi.Record(time, force, time - np.sin(time) + part, hold="linear") for part in unknown
     )
+    answer = search_free_runs([plant], [((record,), (held,))], [effects.ConstantOffset()])
+    assert answer is not None
+    assert [runs.window for runs in answer.base.runs] == [pytest.approx(12.0), pytest.approx(6.0)]
+    whole = search_free_runs([plant], [((record,), (record,))], [effects.ConstantOffset()])
+    assert whole is not None
+    assert whole.base.runs[0].window is None
 
 
 def test_records_too_short_for_windows_are_not_judged():
