@@ -77,8 +77,7 @@ def window_of(task: Task, records: Sequence[Record]) -> float | None:
     """Length of short free runs [s]; None where the records are too short."""
     if task.window is not None:
         return task.window
-    window = window_length(records, 2 * longest_start(task.plant, records))
-    return window if window is None or task.longest is None else min(window, 0.5 * task.longest)
+    return window_length(records, 2 * longest_start(task.plant, records))
 
 
 def free_runs(task: Task, plant: Plant) -> FreeRuns:

@@ -152,8 +152,9 @@ def _with_internal(
     if carried is not None:
         moved, plant = np.array(starts), heads.run.plant
         # A difference from an output changes with the output, which starts as measured.
-        risen = states_of(plant, values).y[:, 0] - carried.y[:, 0]
-        z = carried.z - risen @ slope_followers(plant).T
+        with np.errstate(invalid="ignore", over="ignore"):  # of a run that diverges
+            risen = states_of(plant, values).y[:, 0] - carried.y[:, 0]
+            z = carried.z - risen @ slope_followers(plant).T
         usable = opened[internal] & np.all(np.isfinite(z), axis=1, keepdims=True)
         moved[..., internal] = np.where(usable[:, None], z[:, None], moved[..., internal])
         carried_fit = _Fit(*_descend(heads, moved, measured))

@@ -331,11 +331,19 @@ def whole_and_windows(
         plant: to judge.
         records: on these.
         window: length of re-initialised runs [s]; None where the records are too short for any.
-        longest: the same of the long runs, of an unstable plant; None: whole records.
+        longest: the same of the long runs, of an unstable plant; None: whole records. Short ones
+            are then half as long at most.
     """
-    head = None if longest is None else window_head(longest, plant, records)
-    long_runs = judged_runs(plant, records, head, longest)
-    return long_runs, None if window is None else judged_runs(plant, records, window=window)
+    if longest is None:
+        short_runs = None if window is None else judged_runs(plant, records, window=window)
+        return judged_runs(plant, records), short_runs
+    short = longest if window is None else window
+    lengths = longest, min(short, 0.5 * longest)
+    long_runs, short_runs = (
+        judged_runs(plant, records, window_head(length, plant, records), length)
+        for length in lengths
+    )
+    return long_runs, short_runs
 
 
 def _head(plant: Plant, record: Record, initial_samples: int | None) -> int:
