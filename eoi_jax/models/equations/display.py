@@ -361,9 +361,10 @@ class _EffectFormulas:
         assert isinstance(effect, AbstractTerm | AbstractInternalEffect)
         if isinstance(effect, Curve):
             output = self._plant.outputs[self.placed.output]
-            signals = {"y": Symbol(output), "v": Symbol(output, self.placed.row)}
+            velocity = Symbol(output, self.placed.row)
+            signals: dict[str, Expression] = {"y": Symbol(output), "v": velocity}
             signals["u"] = Symbol((*self._plant.inputs, "u")[self.placed.through or 0])
-            signals["sign"] = Call("sign", (signals["v"],))
+            signals["sign"] = Call("sign", (velocity,))
             curve = Call("curve", (signals[effect.over],))
             return Operation("*", curve, signals[effect.times]) if effect.times else curve
         return self._formulas(effect.term)[0]
