@@ -557,4 +557,6 @@ def test_a_draft_offers_the_hold_of_inputs_that_keep_their_values(tmp_path):
     offered = '# hold = { "heating" = "zero" }'
     assert offered in text
     target.write_text(checked(text.replace(offered, offered[2:]), target))
-    assert config.load(target).data.hold == {"heating": "zero"}
+    data = config.load(target).data
+    assert data is not None
+    assert data.hold == {"heating": "zero"}

@@ -43,11 +43,9 @@ def test_short_windows_of_the_true_model_miss_by_little_more_than_the_noise(seed
 
 def test_a_window_whose_first_samples_tell_the_state_of_the_store_starts_there():
     """A store that something unknown heats in the middle of the record: no run along it knows."""
-    first, second = heated(200, 0), heated(200, 0)
-    jumped = eoi.Record.from_period(
-        PERIOD, *(np.concatenate([getattr(part, key) for part in (first, second)])
-                  for key in ("inputs", "outputs")), hold="zero",
-    )  # fmt: skip
+    part = heated(200, 0)
+    inputs, outputs = (np.concatenate([values] * 2) for values in (part.inputs, part.outputs))
+    jumped = eoi.Record.from_period(PERIOD, inputs, outputs, hold="zero")
     runs = judged_runs(PLATE, jumped, initial_samples=60, window=100 * PERIOD)
     assert runs.rmse[0] < 1.5 * NOISE
 
