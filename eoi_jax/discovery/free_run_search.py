@@ -38,6 +38,7 @@ from eoi_jax.models.plant import Plant
 from eoi_jax.refinement.refine import refine_once
 from eoi_jax.refinement.remaining import remaining
 from eoi_jax.refinement.score_test import is_tested
+from eoi_jax.simulation.error_growth import is_lost
 
 _RULES = RULES.free_runs
 
@@ -177,7 +178,8 @@ class Search:
     def is_lost(self) -> bool:
         """Whether whole free runs of the declared model say nothing, however it is refined."""
         whole = self.judge.longest is None
-        return whole and all(self.judge.is_lost(base.runs) for base in self.bases)
+        errors = [base.runs[0].nrmse for base in self.bases]
+        return whole and all(is_lost(error, np.ones_like(error)) for error in errors)
 
     def answer(self, best: Judged, start: Plant) -> FreeRunAnswer:
         """What the search came to, from this declared model."""
@@ -306,18 +308,11 @@ def exchanged_ratio(answer: FreeRunAnswer) -> float:
     judge = Judge.of(_portion(answer.records), answer.base.refinement.plant)
     if judge is None:
         return np.inf
-    models = [
-        [
-            fit
-            for window in (judge.longest, judge.window)
-            if (fit := _fitted(model.refinement.plant, model.placed, answer.judging, window, judge))
-        ]
+    base, best = (
+        _best(_over_both(model.refinement.plant, model.placed, answer.judging, judge))
         for model in (answer.base, answer.best)
-    ]
-    if not all(models):
-        return np.inf
-    base, best = (min(fits, key=lambda fit: fit.error) for fits in models)
-    return float(np.exp(best.error - base.error))
+    )
+    return np.inf if base is None or best is None else float(np.exp(best.error - base.error))
 
 
 def refined(
@@ -331,12 +326,21 @@ def refined(
         records: to fit.
         judge: of the fits.
     """
-    fits = [
-        fit
-        for window in (judge.longest, judge.window)
-        if (fit := _fitted(plant, placed, records, window, judge)) is not None
-        and fit.refinement.status.ok
-    ]
+    fits = _over_both(plant, placed, records, judge)
+    return _best([fit for fit in fits if fit.refinement.status.ok])
+
+
+def _over_both(
+    plant: Plant, placed: tuple[Placed, ...], records: tuple[Record, ...], judge: Judge
+) -> list[Judged]:
+    """A model refined over the long runs and over the short ones of its judge."""
+    windows = judge.longest, judge.window
+    fits = [_fitted(plant, placed, records, window, judge) for window in windows]
+    return [fit for fit in fits if fit is not None]
+
+
+def _best(fits: Sequence[Judged]) -> Judged | None:
+    """What predicts best; None of none."""
     return min(fits, key=lambda fit: fit.error, default=None)
 
 
@@ -419,16 +423,12 @@ def _made_best(searches: Sequence[Search], search: Search, best: Judged) -> tupl
     The hold was chosen for the declared model: what that lacks can look like another hold.
     """
     pairs = [(search, best)]
-    for variant in searches if search.further(best) else ():
-        fits = [
-            fit
-            for window in (variant.judge.longest, variant.judge.window)
-            if variant is not search
-            and (fit := _fitted(best.refinement.plant, best.placed, variant.searched, window,
-                                variant.judge))
-        ]  # fmt: skip
-        if fits and variant.judge.needs(min(fits, key=lambda fit: fit.error), best):
-            pairs.append((variant, variant.leanest(min(fits, key=lambda fit: fit.error))))
+    variants = [variant for variant in searches if variant is not search]
+    for variant in variants if search.further(best) else ():
+        model = best.refinement.plant, best.placed
+        trial = _best(_over_both(*model, variant.searched, variant.judge))
+        if trial is not None and variant.judge.needs(trial, best):
+            pairs.append((variant, variant.leanest(trial)))
     return min(pairs, key=lambda pair: pair[1].error)
 
 

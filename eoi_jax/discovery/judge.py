@@ -17,7 +17,7 @@ from eoi_jax.discovery.rules import RULES
 from eoi_jax.models.augmented import Placed
 from eoi_jax.models.plant import Plant
 from eoi_jax.refinement.result import Refinement
-from eoi_jax.simulation.error_growth import is_lost, window_head
+from eoi_jax.simulation.error_growth import window_head
 from eoi_jax.simulation.validate import FreeRuns, Validation, growth_that_rules, judged_runs
 
 _RULES = RULES.judge
@@ -95,10 +95,6 @@ class Judge:
     def without_whole_runs(self) -> "Judge":
         """A judge by two lengths of windows, for models of which whole runs say nothing."""
         return replace(self, longest=2.0 * self.window, whole_head=self.head)
-
-    def is_lost(self, runs: FreeRuns) -> bool:
-        """Whether whole free runs say nothing of some output: a constant would predict better."""
-        return is_lost(runs[0].nrmse, np.ones_like(runs[0].nrmse))
 
     def runs(self, plant: Plant) -> FreeRuns:
         """Free runs of a model: long ones, and short ones."""
