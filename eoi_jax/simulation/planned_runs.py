@@ -1,6 +1,7 @@
 """The free runs of a plan, each from its own initial state."""
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
@@ -37,30 +38,45 @@ def planned_runs(
     """
     if not runs.starts:
         return np.zeros((0, runs.steps + 1, record.outputs.shape[1])), np.zeros((0, 0)), []
-    first_samples = np.asarray(runs.starts)[:, None] + np.arange(runs.head)
-    head = _parts(record_drive, runs.starts, runs.head - 1)
-    y, valid = record.outputs[first_samples], record.output_valid[first_samples]
-    head_past = None if past is None else past[_steps(record_drive, runs.starts, runs.head - 1)]
+    along = _Along(record, record_drive, past)
+    heads = along.heads(runs.starts, runs.head)
     if values is None:
-        carried = _carried(run, record, record_drive, runs, past, begins)
-        values = initial_states(run, head, y, valid, head_past, begins, carried)
-    drives = _parts(record_drive, runs.starts, runs.steps)
-    if past is not None:
-        whole = past[_steps(record_drive, runs.starts, runs.steps)]
-        drives = with_past(drives, whole, values)
+        carried = _carried(run, along, runs, begins)
+        values = initial_states(run, *heads, begins, carried)
     declared = values if past is None else None  # without levels before the record
-    notes = contradicted_start(run, head, y, valid, declared, begins, record.name)
+    notes = contradicted_start(run, *heads[:3], declared, begins, record.name)
+    drives = along.drives(runs.starts, runs.steps, values)
     outputs = outputs_of(run.plant, drives, states_of(run.plant, values), run.friction)
     return outputs, values, notes
 
 
+@dataclass(frozen=True)
+class _Along:
+    """A record, what drives it, and how that changes with the inputs before the record."""
+
+    record: Record
+    drive: Drive
+    past: np.ndarray | None
+
+    def heads(
+        self, starts: Sequence[int], count: int
+    ) -> tuple[Drive, np.ndarray, np.ndarray, np.ndarray | None]:
+        """The first `count` samples of runs: drive, outputs, which are valid, change with past."""
+        samples = np.asarray(starts)[:, None] + np.arange(count)
+        y, valid = self.record.outputs[samples], self.record.output_valid[samples]
+        return _parts(self.drive, starts, count - 1), y, valid, self._past(starts, count - 1)
+
+    def drives(self, starts: Sequence[int], steps: int, values: Starts) -> Drive:
+        """What drives runs of so many samples' steps that start with these values."""
+        drives, past = _parts(self.drive, starts, steps), self._past(starts, steps)
+        return drives if past is None else with_past(drives, past, values)
+
+    def _past(self, starts: Sequence[int], steps: int) -> np.ndarray | None:
+        return None if self.past is None else self.past[_steps(self.drive, starts, steps)]
+
+
 def _carried(
-    run: Run,
-    record: Record,
-    record_drive: Drive,
-    runs: Plan,
-    past: np.ndarray | None,
-    begins: Bool[np.ndarray, " runs"],
+    run: Run, along: _Along, runs: Plan, begins: Bool[np.ndarray, " runs"]
 ) -> State | None:
     """States where the runs start, of a single run along the record.
 
@@ -69,16 +85,9 @@ def _carried(
     """
     if len(runs.starts) < 2 or not np.any(run.plant.open_internal):
         return None
-    first, count = runs.starts[:1], runs.steps
-    samples = first[0] + np.arange(count + 1)[None]
-    head = _parts(record_drive, first, count)
-    head_past = None if past is None else past[_steps(record_drive, first, count)]
-    y, valid = record.outputs[samples], record.output_valid[samples]
-    values = initial_states(run, head, y, valid, head_past, begins[:1])
-    reach = runs.starts[-1] - first[0]
-    drives = _parts(record_drive, first, reach)
-    if past is not None:
-        drives = with_past(drives, past[_steps(record_drive, first, reach)], values)
+    first = runs.starts[:1]
+    values = initial_states(run, *along.heads(first, runs.steps + 1), begins[:1])
+    drives = along.drives(first, runs.starts[-1] - first[0], values)
     x = states_along(run.plant, drives, states_of(run.plant, values), run.friction)
     steps = run.substeps * (np.asarray(runs.starts) - first[0])
     return State(x.y[0, steps], x.z[0, steps])
