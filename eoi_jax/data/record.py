@@ -4,7 +4,7 @@ A record holds NumPy arrays on the host; kernels take their arrays from it.
 """
 
 import copy
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any
@@ -432,12 +432,16 @@ class Record(Result):
 
     # -- between the samples --------------------------------------------------------------
 
-    def resample(self, substeps: int) -> "Record":
+    def resample(self, substeps: int, course: Callable | None = None) -> "Record":
         """The record with each step divided into `substeps` steps.
 
         Outputs are interpolated by a quintic spline through each valid segment, inputs by their
         hold. A new sample is valid if the samples around it are. The original samples keep their
         values. Outputs with a rate of their own are bridged before.
+
+        Args:
+            substeps: in place of each step.
+            course: function of the new record that gives its outputs, (S, ny), in place of splines.
 
         Raises:
             ValueError: `substeps` is no integer ≥ 1.
@@ -447,20 +451,18 @@ class Record(Result):
         if substeps == 1 and self._skew is None:
             return self
         if self._is_slow:
-            return self.bridged.resample(substeps)
-        count = (len(self) - 1) * int(substeps) + 1
-        position, query = np.arange(len(self), dtype=float), np.arange(count) / int(substeps)
+            return self.bridged.resample(substeps, course)
+        count = (len(self) - 1) * substeps + 1
+        position, query = np.arange(len(self), dtype=float), np.arange(count) / substeps
         outputs, valid = np.empty((count, self.outputs.shape[1])), []
         for columns, mask in channel_groups(self.output_valid):
             segments = runs(mask)
-            outputs[:, columns] = sub_stepped(self.outputs[:, columns], segments, int(substeps))
-            covering = covered(position, segments, query)
-            valid += [covering] * outputs[:, columns].shape[1]
+            outputs[:, columns] = sub_stepped(self.outputs[:, columns], segments, substeps)
+            valid += [covered(position, segments, query)] * outputs[:, columns].shape[1]
         # A single spline for sub-steps and midpoints: a second one would only take longer.
-        known_segments = self.input_segments()
-        inputs, middle = self._between(int(substeps))
-        u_valid = covered(position, known_segments, query)
-        sample_period = self.sample_period / int(substeps)
+        inputs, middle = self._between(substeps)
+        u_valid = covered(position, self.input_segments(), query)
+        sample_period = self.sample_period / substeps
         new = self._changed(
             f"Sub-stepped by {substeps}: outputs by a quintic spline, inputs by "
             f"their hold ({hold_text(self.hold, self.input_names)})."
@@ -469,6 +471,8 @@ class Record(Result):
         masks = covered(position, self.segments(), query), u_valid, np.stack(valid, axis=1)
         new._set(inputs, outputs, masks, time, sample_period)
         new._assign({**self._of_the_samples, "_middle": middle, "_skew": None})
+        if course is not None:
+            new._assign({"outputs": course(new)})
         return new
 
     def _between(

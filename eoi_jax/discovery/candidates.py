@@ -203,7 +203,8 @@ def _term_rows(
         for k, degree in enumerate(plant.degrees):
             push = pushes[:, k]
             if np.any(push):
-                rows = (signals if degree else _at_start(signals, change, placed, record)), push
+                rows = signals if degree else _at_start(signals, change, placed, record)
+                rows = rows, (record.y, record.u), push
                 terms = [
                     _thinned_term(effect, rows, *batch, degree, record, k)
                     for batch in _batches(shapes, z)
@@ -242,7 +243,8 @@ def _thinned_term(
 
     Args:
         effect: the term.
-        rows: its signals, and the change of y^(r) of the output for a unit of the term.
+        rows: its signals, state and inputs of the plant, and the change of y^(r) of the output for
+            a unit of the term.
         shapes: shape parameters of the effect.
         z: states of the effect at each shape.
         degree: relative degree of the output.
@@ -265,8 +267,8 @@ class _Term:
     effect: AbstractTerm
 
     def __call__(self, row: tuple, shape: Any, z: Any) -> Array:
-        (t, y, v, u), push = row
-        at, count = At(t, y, v, u, z), len(self.effect.gains)
+        (t, y, v, u), (state, inputs), push = row
+        at, count = At(t, y, v, u, z, None, state, inputs), len(self.effect.gains)
         units = np.eye(count).tolist()
         terms = [jnp.asarray(self.effect.term(at, unit, shape)) * push for unit in units]
         return jnp.stack(terms)

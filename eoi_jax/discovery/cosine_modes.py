@@ -39,6 +39,7 @@ from eoi_jax.discovery.rules import RULES
 from eoi_jax.discovery.thinning import averaged, averaged_and_thinned, averaging, thinned, thinning
 from eoi_jax.estimation.defaults import output_noise, velocity_noise
 from eoi_jax.estimation.preparation import entering
+from eoi_jax.estimation.within_samples import resampled
 from eoi_jax.models.jacobians import Values, state_slopes
 from eoi_jax.models.plant import Plant, State
 from eoi_jax.simulation.runge_kutta import middle_of_step, runge_kutta_step
@@ -141,7 +142,7 @@ def modal_record(plant: Plant, record: Record, band: float) -> ModalRecord:
     substeps = int(np.ceil(band * record.sample_period / _FINE))
     substeps = max(1, min(substeps, _MOST_SUBSTEPS)) if any(plant.degrees) else 1
     cutoff = smoothing_cutoff(plant, record)
-    raw = record.resample(substeps)
+    raw = resampled(plant, record, substeps)
     smoothed = record if cutoff is None else record.without_inputs().smooth(cutoff)
     smooth = raw if cutoff is None else smoothed.resample(substeps)
     h = raw.sample_period

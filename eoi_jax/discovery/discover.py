@@ -51,7 +51,13 @@ from eoi_jax.discovery.parsimony import Wider, with_simpler_laws
 from eoi_jax.discovery.probability import Standing
 from eoi_jax.discovery.ranking import ranking
 from eoi_jax.discovery.refined import refined_answer
-from eoi_jax.discovery.refit import free_runs, not_simulated, on_bounds, refitted
+from eoi_jax.discovery.refit import (
+    free_runs,
+    not_simulated,
+    on_bounds,
+    refitted,
+    runs_that_tell,
+)
 from eoi_jax.discovery.remarks import (
     FREE_RUN,
     NO_FREE_RUN,
@@ -76,7 +82,7 @@ from eoi_jax.estimation.lowpass import LowPass
 from eoi_jax.estimation.preparation import PreparedRecords, prepare_records
 from eoi_jax.models.augmented import Placed
 from eoi_jax.models.check_records import check_records
-from eoi_jax.models.effects import rare, wider
+from eoi_jax.models.effects import couplings, rare, wider
 from eoi_jax.models.effects.effect import AbstractEffect
 from eoi_jax.models.placements import placements
 from eoi_jax.models.plant import Plant
@@ -115,7 +121,8 @@ def discover(
             share of each record that is held out at its end. Without them the errors are those on
             `records`, and the answer says so.
         effects: to try, as names or objects; by default all of `eoi_jax.effects.standard()`, and
-            where these leave the residual unexplained `eoi_jax.effects.rare()` beside them.
+            where these leave the residual unexplained `eoi_jax.effects.rare()` and, with several
+            outputs, `eoi_jax.effects.couplings(plant)` beside them.
         lowpass: F of the fits; chosen from the records if left out.
         alpha: level of false alarms: the chance that a model which lacks nothing gets an effect.
         most: effects that one round of the search may add at most.
@@ -149,8 +156,8 @@ def discover(
             [record for _, record in parts],
         )
     held_out = held_out_records(plant, fit_records, validation)
-    tried_effects = requested([effects] if isinstance(effects, str) else effects)
-    rare_effects = rare() if effects is None else ()
+    tried_effects = requested(plant, [effects] if isinstance(effects, str) else effects)
+    rare_effects = (*rare(), *couplings(plant)) if effects is None else ()
     fitting = names_with_place(plant, tried_effects)
     check(0.0 < real(alpha) < 1.0, "alpha", "must lie in (0, 1)", alpha, "0.01 is a common choice.")
     most = check_count("most", most)
@@ -212,8 +219,8 @@ class _Search:
             held_out: that judge, as given.
         """
         discovery, start = searched.discovery, min(float(record.time[0]) for record in records)
-        effects = self.effects if self.named else (*self.effects, *wider())
-        effects = [effect.since(start) for effect in effects]
+        further = () if self.named else (*wider(), *couplings(self.plant))
+        effects = [effect.since(start) for effect in (*self.effects, *further)]
         if leaves_more(discovery):
             discovery = unless_refined_is_better(discovery, records)
         is_open = leaves_open(discovery)
@@ -342,10 +349,9 @@ def _run(task: Task, rare_effects: Sequence[AbstractEffect], progress: Progress)
     if placements(task.plant, rare_effects):
         wider = replace(task, effects=(*task.effects, *rare_effects))
         rare_discovery = _answer(wider, *_searched(wider, progress, rounds[0]), runs_before())
-        named = (
-            any(added.effect in rare_effects for added in rare_discovery.added)
-            and len(rare_discovery.added) <= _RULES.rare_most
-        )
+        named = any(added.effect in rare_effects for added in rare_discovery.added) and len(
+            rare_discovery.added
+        ) <= max(_RULES.rare_most, len(task.plant.outputs))
         if named and rare_discovery.explained >= _RULES.rare_share:
             return Searched(rare_discovery)
     partial = tuple(step[:2] for step in reversed(steps) if not not_simulated(step[0]))
@@ -404,7 +410,7 @@ class _Chosen:
     Attributes:
         placed: effects of the answer; none where it has none.
         fit: with them; that of the declared model without any.
-        runs: its free runs.
+        prior: free runs of the declared model. runs: of the fit, of the same lengths.
         status: of the answer. share: of the residual's power above the noise that they explain.
         remainder: power of the residual that is left beyond the noise.
         wider: laws that gave way to simpler ones. refused: why other effects are not in it.
@@ -414,6 +420,7 @@ class _Chosen:
 
     placed: tuple[Placed, ...]
     fit: Identification
+    prior: FreeRuns
     runs: FreeRuns
     status: Status
     share: float
@@ -456,14 +463,14 @@ def _chosen(task: Task, steps: Sequence[Step], rounds: Sequence[Round], prior: F
                 notes.append(_WIDER_LAW.format(labels_of(placed), share))
                 share, verdict = _share_of_simpler(task, plain, fit, rounds)
             remainder = remaining_power(rounds, share, quiet)
-            return _Chosen(
-                plain, fit, runs, verdict, share, remainder, wider, refused, tuple(notes), ()
-            )
+            prior, runs = runs_that_tell(task, fit.plant, prior, runs)
+            return _Chosen(plain, fit, prior, runs, verdict, share, remainder, wider, refused,
+                           tuple(notes), ())  # fmt: skip
         notes.append(_REFUSED.format(labels_of(placed)))
         refused |= dict.fromkeys(placed, FREE_RUN)
         status = Status("unexplained", _FREE_RUN_WORSE)
     return _Chosen(
-        (), task.declared, prior, status, 0.0, 0.0, {}, refused, tuple(notes), denied_set
+        (), task.declared, prior, prior, status, 0.0, 0.0, {}, refused, tuple(notes), denied_set
     )  # fmt: skip
 
 
@@ -484,9 +491,9 @@ def _answer(
         ambiguous_with=rivals,
         advice=advice(rounds[0], rivals),
         explained=chosen.share,
-        before=prior[0],
+        before=chosen.prior[0],
         after=chosen.runs[0],
-        windows_before=prior[1],
+        windows_before=chosen.prior[1],
         windows_after=chosen.runs[1],
         declared=task.declared,
         found=fit,

@@ -85,10 +85,10 @@ def with_best_hold(
     """The answer with the hold under which the final model fits best, and a note on the evidence.
 
     The search runs with the hold that the declared model fits best. It runs with another one that
-    the declared model does not refute if the final model fits as well with it, or has an effect
-    that may stand for it. It runs on shifted inputs if the final model fits clearly better with
-    them, or has an effect that may stand for the shift. The smallest index decides; of nearly equal
-    ones the answer that explains, with fewest effects.
+    the declared model does not refute if the final model fits as well with it, or with any other
+    one if it has an effect that may stand for it. It runs on shifted inputs if the final model fits
+    clearly better with them, or has an effect that may stand for the shift. The smallest index
+    decides; of nearly equal ones the answer that explains, with fewest effects.
 
     Args:
         search: the discovery on records to fit and records that judge, on the filter of `indices`.
@@ -106,6 +106,9 @@ def with_best_hold(
     best = searched(first)
     if not best.fit.status.ok:  # with any hold
         return best.search
+    if _stand_ins(best.answer):  # what the declared model refutes it may refute for what it lacks
+        tried = indices.choice.values
+        alternatives = sorted((hold for hold in tried if hold != first), key=tried.__getitem__)
     fits = {first: best.fit}
     for hold in alternatives:
         fits[hold] = _refitted(best.answer, with_hold(records, hold), indices)

@@ -73,6 +73,8 @@ class Judge:
             plant: the declared model, fitted.
         """
         shortest = min(len(record) for record in records)
+        if shortest < 2 * _RULES.min_window:
+            return None
         moving = [parts for parts in _RULES.windows if _moves(records, shortest // parts)]
         count = max(shortest // max(moving, default=min(_RULES.windows)), _RULES.min_window)
         count = max(count, min(_RULES.min_window * plant.rows, shortest // 3))

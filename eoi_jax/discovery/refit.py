@@ -9,12 +9,18 @@ from eoi_jax.data.record import Record
 from eoi_jax.data.windows import window_length
 from eoi_jax.discovery.remarks import FitNote
 from eoi_jax.discovery.round import Task
+from eoi_jax.discovery.rules import RULES
 from eoi_jax.discovery.side_by_side import concurrently
 from eoi_jax.estimation.holdout import longest_start
 from eoi_jax.estimation.identify import Identification, bound_notes, estimate
 from eoi_jax.models.plant import Plant
 from eoi_jax.simulation.integrator import frictional
-from eoi_jax.simulation.validate import FreeRuns, judged_runs, whole_and_windows
+from eoi_jax.simulation.validate import (
+    FreeRuns,
+    growth_that_rules,
+    judged_runs,
+    whole_and_windows,
+)
 
 _ON_BOUND = ": what it would take beyond stays unexplained"
 _SEARCHED = FitNote("parameters are those of the search: in free runs better than the refit's")
@@ -91,3 +97,31 @@ def free_runs(task: Task, plant: Plant) -> FreeRuns:
         short = None if window is None else judged_runs(plant, records, window=window)
         return task.whole_runs, short
     return whole_and_windows(plant, records, window, longest)
+
+
+def runs_that_tell(
+    task: Task, plant: Plant, prior: FreeRuns, runs: FreeRuns
+) -> tuple[FreeRuns, FreeRuns]:
+    """Free runs of the declared model and of another, alike.
+
+    A stable model may lack what makes the plant unstable or chaotic: whole runs of the right model
+    are then lost, as errors of their starts grow. Long runs are through windows in which they stay
+    small, for both models.
+
+    Args:
+        task: the constants of the discovery.
+        plant: the other model.
+        prior: free runs of the declared model.
+        runs: of the other one, of the same lengths.
+    """
+    if runs[0].window is not None:
+        return prior, runs
+    growth = growth_that_rules(plant, runs[0], limit=RULES.judge.misled)
+    if growth is None:
+        return prior, runs
+    records = task.held_out or task.records
+    lengths = window_of(task, records), growth.window
+    return (
+        whole_and_windows(task.declared.plant, records, *lengths),
+        whole_and_windows(plant, records, *lengths),
+    )

@@ -4,24 +4,30 @@ from collections.abc import Sequence
 
 from eoi_jax._checks import check, check_choice, check_kind
 from eoi_jax.discovery.result import Discovery
-from eoi_jax.models.effects import standard, wider
+from eoi_jax.models.effects import Coupling, couplings, standard, wider
 from eoi_jax.models.effects.effect import AbstractCascade, AbstractEffect
 from eoi_jax.models.placements import placements
 from eoi_jax.models.plant import Plant
 
 
-def requested(effects: Sequence[AbstractEffect | str] | None) -> tuple[AbstractEffect, ...]:
+def requested(
+    plant: Plant, effects: Sequence[AbstractEffect | str] | None
+) -> tuple[AbstractEffect, ...]:
     """The effects by name or as objects; the standard ones for None."""
     if effects is None:
         return standard()
-    library = (*standard(), *wider())
+    library = (*standard(), *wider(), *couplings(plant))
     check_kind("effects", effects, Sequence, "a list of names or effects")
     check(len(effects) > 0, "effects", "must name at least one effect", "none")
     chosen: list[AbstractEffect] = []
-    names = sorted({effect.name for effect in library})
+    names = sorted({effect.name for effect in library} | {Coupling.name})
     for effect in effects:
         if isinstance(effect, str):
             check_choice("effects", effect, names)
+            several = effect != Coupling.name or len(plant.outputs) > 1
+            check(
+                several, "effects", f"{Coupling.name} needs a plant of several outputs", plant.name
+            )
             chosen += [candidate for candidate in library if candidate.name == effect]
         else:
             check_kind("effects", effect, AbstractEffect, "names or effects")

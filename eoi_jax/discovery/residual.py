@@ -26,6 +26,7 @@ from eoi_jax.estimation.identify import Identification
 from eoi_jax.estimation.lowpass import DiscreteFilter
 from eoi_jax.estimation.preparation import at_samples, prepare_steps, step_inputs
 from eoi_jax.estimation.regression.noise_autocorrelation import ORDER
+from eoi_jax.estimation.within_samples import resampled
 from eoi_jax.models.jacobians import driven, state_slopes
 from eoi_jax.models.plant import Plant, State
 
@@ -117,7 +118,7 @@ def _regressors(
     plant, lowpass = identification.plant, identification.lowpass
     observer, records = identification.observer, identification.records
     explicit = observer.scheme == "explicit"
-    fine = tuple(record.resample(substeps) for record in records)
+    fine = tuple(resampled(plant, record, substeps) for record in records)
     noise = [
         velocity_noise(plant.degrees, record, min(record.smoothed, default=False))
         / record.noise_left

@@ -160,7 +160,7 @@ class AnswerRules:
         rival: share of the power that the main effect explains alone, from which on another effect
             comes near.
         rare_share: least share explained by a set with a rare effect.
-        rare_most: effects in such a set, at most.
+        rare_most: effects in such a set, at most; one for each output where these are more.
         negligible: residual over y^(r), both rms, below which nothing is missing.
         confirmed: largest ratio of the errors after and before, in every free run, that confirms.
         noise: error of short free runs over the noise of a sensor, above which it is not noise.

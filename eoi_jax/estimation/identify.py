@@ -292,6 +292,7 @@ def estimate(
     bias_correction: BiasCorrection | None = None,
     settings: SignalSettings = SignalSettings(),
     forgetting: float | None = None,
+    course: Plant | None = None,
 ) -> Identification:
     """`identify` on prepared records, which several models of the same outputs may share.
 
@@ -306,7 +307,10 @@ def estimate(
             returns a corrected estimate, or None, and the reasons.
         settings: of the signals that are stored.
         forgetting: λ of the parameters over time; None: without these.
+        course: model by which outputs move between the samples; None: `plant`, then the estimate.
     """
+    stated = observer
+    prepared = prepared.interpolated_by(course or plant)
     lowpass, resampled, explicit = prepared.lowpass, prepared.fine, prepared.explicit
     reasons = prepared.reasons
     if observer is None:
@@ -338,7 +342,11 @@ def estimate(
         plant, observer, run, steps, prepared.substeps, passes, callback, bias_correction, settings,
         forgetting,
     )  # fmt: skip
-    return driver.run(prepared.records, lowpass, reasons, tuple(notes))
+    fit = driver.run(prepared.records, lowpass, reasons, tuple(notes))
+    if course is None and passes > 1 and fit.status.fits and prepared.follows(plant):
+        return estimate(plant, prepared, stated, passes, transient, callback, bias_correction,
+                        settings, forgetting, fit.plant)  # fmt: skip
+    return fit
 
 
 @dataclass

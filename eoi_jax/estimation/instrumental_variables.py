@@ -38,6 +38,7 @@ from eoi_jax.estimation.preparation import PreparedRecords, prepare_steps, step_
 from eoi_jax.estimation.regression.instrumental import within_bounds
 from eoi_jax.estimation.regression.robust_covariance import long_run
 from eoi_jax.estimation.regression.sample_rows import SampleRows, sample_rows
+from eoi_jax.estimation.within_samples import resampled
 from eoi_jax.models.jacobians import state_slopes
 from eoi_jax.models.plant import Plant
 from eoi_jax.simulation.integrator import REACHES, frictional
@@ -317,7 +318,7 @@ def _simulate_runs(
             return _SimulatedRuns(previous.measured, tuple(simulated), count, previous.owner)
         if follows:
             measured = tuple(
-                _prepared(record.bridged.part(*_ends(record, samples)), prepared)
+                _measured(plant, record.bridged.part(*_ends(record, samples)), prepared)
                 for record, samples in pieces
             )
             return _SimulatedRuns(measured, tuple(simulated), count, tuple(owner))
@@ -423,6 +424,12 @@ def _speed(record: Record) -> float:
     rates = np.diff(record.outputs, axis=0) / record.sample_period
     spread = np.std(record.outputs, axis=0)
     return float(np.max(np.sqrt(np.mean(rates**2, axis=0)) / np.where(spread > 0, spread, np.inf)))
+
+
+def _measured(plant: Plant, record: Record, prepared: PreparedRecords) -> Record:
+    if prepared.follows(plant):
+        return resampled(plant, record, prepared.substeps)
+    return _prepared(record, prepared)
 
 
 def _prepared(record: Record, prepared: PreparedRecords) -> Record:

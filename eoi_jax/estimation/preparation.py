@@ -6,7 +6,7 @@ for each model.
 """
 
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from types import NoneType
 from typing import Any
 
@@ -34,6 +34,7 @@ from eoi_jax.estimation.kernel import Steps
 from eoi_jax.estimation.lowpass import LowPass
 from eoi_jax.estimation.observers.observer import AbstractObserver
 from eoi_jax.estimation.observers.per_output import PerOutput
+from eoi_jax.estimation.within_samples import follows_model, resampled
 from eoi_jax.models.jacobians import entering_outputs
 from eoi_jax.models.plant import Plant
 
@@ -176,6 +177,19 @@ class PreparedRecords:
     explicit: bool
     reasons: tuple[str, ...]
 
+    def follows(self, plant: Plant) -> bool:
+        """Whether a model says how outputs move between the samples (`within_samples.py`)."""
+        if self.smoothing or self.substeps == 1:
+            return False
+        return any(follows_model(plant, record) for record in self.records)
+
+    def interpolated_by(self, plant: Plant) -> "PreparedRecords":
+        """The same with outputs between the samples as this model moves, at its parameters."""
+        if not self.follows(plant):
+            return self
+        fine = (resampled(plant, record, self.substeps) for record in self.records)
+        return replace(self, fine=tuple(fine))
+
 
 def prepare_records(
     plant: Plant,
@@ -223,9 +237,10 @@ def prepare_records(
         reasons += reason
     fine = tuple(record.resample(substeps) for record in records)
     inputs = tuple(step_inputs(record, explicit) for record in fine)
-    return PreparedRecords(
+    prepared = PreparedRecords(
         records, fine, inputs, noise, lowpass, substeps, smoothing, explicit, tuple(reasons)
     )
+    return prepared.interpolated_by(plant)
 
 
 def step_inputs(record: Record, explicit: bool) -> Float[np.ndarray, "steps nu"]:

@@ -565,4 +565,5 @@ def instant(placement: Placed, t: Any, x: State, u: Any, z: Any) -> At:
     input_value = (
         u[placement.channel if placement.on_input else 0] if u.shape[0] else jnp.zeros_like(y[0])
     )
-    return At(t, x.z[placement.channel] if placement.on_state else y[0], rate, input_value, z)
+    level = x.z[placement.channel] if placement.on_state else y[0]
+    return At(t, level, rate, input_value, z, state=x.y, inputs=u)

@@ -42,6 +42,17 @@ def input_slopes(
     return along(_input_slope, ("fixed", "rows"), plant, rows)[..., i]
 
 
+def slopes_behind(
+    plant: Plant, time: Values, y: Values, u: Values
+) -> tuple[Float[np.ndarray, "S ny r ny"], Float[np.ndarray, "S ny nu"]]:
+    """∂f/∂y, ∂f/∂ẏ, … and ∂f/∂u at every instant, of inputs behind the actuators."""
+    state, by_input = (
+        along(slope, ("fixed", "rows"), plant, (time, y, u))
+        for slope in (_state_slope, _input_slope)
+    )
+    return state, by_input
+
+
 def entering_outputs(
     plant: Plant, time: Values, y: np.ndarray, u: Values, instants: int = 20
 ) -> Bool[np.ndarray, "ny ny"]:

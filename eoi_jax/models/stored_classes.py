@@ -78,6 +78,8 @@ CLASSES: Mapping[str, str] = {
     "Rival": "discovery.result",
     "Lead": "discovery.result:PartialExplanation",
     "Texts": "discovery.result",
+    "Coupling": "models.effects.coupling",
+    "Signal": "models.effects.coupling",
     "ConstantOffset": "models.effects.disturbance",
     "Drift": "models.effects.disturbance",
     "SinusoidalDisturbance": "models.effects.disturbance",

@@ -265,7 +265,10 @@ class LinearisedRuns:
             if effect.states:
                 period = float(np.mean(t[:, 0, 2] - t[:, 0, 0]))
                 z = jnp.asarray(effect.states_along(level, period, shape))
-            at = At(*(jnp.asarray(term) for term in (t, level, rate, channel)), z=z)
+            signals = (jnp.asarray(term) for term in (t, level, rate, channel))
+            whole = [jnp.moveaxis(part, axes, range(len(axes))) for part, axes in
+                     ((y, (-2, -1)), (u, (-1,)))]  # fmt: skip
+            at = At(*signals, z, None, *whole)
             units = np.eye(len(effect.gains))
             terms = (effect.term(at, list(gain), list(shape)) for gain in units)
             pushes = self._pushes(placed)

@@ -186,12 +186,12 @@ def validate(
     if window is not None:
         length = None if window == np.inf else window
         return judged_runs(plant, records, initial_samples, length, substeps)
-    whole = judged_runs(plant, records, initial_samples, None, substeps)
-    growth = growth_that_rules(plant, whole, initial_samples)
+    full_runs = judged_runs(plant, records, initial_samples, None, substeps)
+    growth = growth_that_rules(plant, full_runs, initial_samples)
     if growth is None:
-        return whole
+        return full_runs
     if initial_samples is None:
-        initial_samples = window_head(growth.window, plant, whole.records)
+        initial_samples = window_head(growth.window, plant, full_runs.records)
     runs = judged_runs(plant, records, initial_samples, growth.window, substeps)
     starts = sum(-(-(len(record) - 1) // round(growth.window / record.sample_period))
                  for record in runs.records)  # fmt: skip
@@ -199,20 +199,21 @@ def validate(
 
 
 def growth_that_rules(
-    plant: Plant, whole: Validation, initial_samples: int | None = None, limit: float = 1.0
+    plant: Plant, full_runs: Validation, initial_samples: int | None = None, limit: float = 1.0
 ) -> ErrorGrowth | None:
     """How errors of a start grow, where they rule whole free runs; None where these can be judged.
 
     Args:
         plant: that was simulated.
-        whole: its free runs through whole records.
+        full_runs: its free runs through whole records.
         initial_samples: from which they started; None: as many as `validate` takes.
         limit: error over the spread of an output, up to which a whole run says something.
     """
-    if plant.sampled is not None or not is_lost(whole.nrmse, np.full_like(whole.nrmse, limit)):
+    errors = full_runs.nrmse
+    if plant.sampled is not None or not is_lost(errors, np.full_like(errors, limit)):
         return None  # the growth of errors is that of the plant without its controller
-    growth = error_growth(plant, whole.records, initial_samples)
-    return growth if growth.growing and growth.cuts(whole.records) else None
+    growth = error_growth(plant, full_runs.records, initial_samples)
+    return growth if growth.growing and growth.cuts(full_runs.records) else None
 
 
 def validated_alike(

@@ -1,5 +1,7 @@
 """What a model may lack: the canonical effects and their interfaces."""
 
+from eoi_jax.models.effects.coupling import Coupling as Coupling
+from eoi_jax.models.effects.coupling import couplings as couplings
 from eoi_jax.models.effects.curve import Curve as Curve
 from eoi_jax.models.effects.curve import InputCurve as InputCurve
 from eoi_jax.models.effects.disturbance import ConstantOffset as ConstantOffset

@@ -59,6 +59,8 @@ class At(NamedTuple):
         u: the input (of the channel, or the first one).
         z: internal states of the effect, shape (states,).
         slope: first derivative of `y`, for effects with `follows_slope`.
+        state: outputs of the plant and their derivatives, [row][output].
+        inputs: of the plant.
     """
 
     t: Any
@@ -67,6 +69,8 @@ class At(NamedTuple):
     u: Any
     z: Any
     slope: Any = None
+    state: Any = None
+    inputs: Any = None
 
 
 @dataclass(frozen=True)
