@@ -3,6 +3,7 @@
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from scipy.linalg import expm
 
 import eoi_jax as eoi
 from eoi_jax.estimation.within_samples import resampled
@@ -111,3 +112,25 @@ def test_a_mode_beyond_the_samples_does_not_blow_up():
     fine = resampled(plant(rate=50.0), record(u, course(u, 1)), STEPS)
     spread = np.ptp(course(u, 1))
     assert np.ptp(fine.outputs) < 2.0 * spread
+
+
+def test_a_current_beside_a_position_follows_its_voltage():
+    # i' = -0.3 i - 0.5 φ' + u,  φ'' = 0.4 i - 0.1 φ', exactly by the matrix exponential.
+    a = np.array([[-0.3, 0.0, -0.5], [0.0, 0.0, 1.0], [0.4, 0.0, -0.1]])
+    step = expm(np.block([[a, np.eye(3)[:, :1]], [np.zeros((1, 4))]]) / STEPS)
+    u = stairs(150, 5)
+    x = np.zeros((149 * STEPS + 1, 3))
+    for k in range(len(x) - 1):
+        x[k + 1] = (step @ np.append(x[k], u[k // STEPS]))[:3]
+
+    def motor(t, x, u, p):
+        (current, _), (_, speed) = x.y
+        return jnp.stack([u[0] - p.r * current - p.k * speed, 0.4 * current - 0.1 * speed])
+
+    plant = eoi.Plant(motor, {"r": 0.3, "k": 0.5}, (1, 2), outputs=("current", "angle"))
+    sampled = eoi.Record(np.arange(150.0), u, x[::STEPS, :2], hold="zero")
+    fine, spline = resampled(plant, sampled, STEPS), sampled.resample(STEPS)
+    inner = slice(10 * STEPS, -10 * STEPS)
+    error = np.abs(fine.outputs[inner, 0] - x[inner, 0])
+    assert np.max(error) < 0.02 * np.max(np.abs(spline.outputs[inner, 0] - x[inner, 0]))
+    assert np.array_equal(fine.outputs[:, 1], spline.outputs[:, 1])

@@ -30,6 +30,7 @@ from eoi_jax.data.record import Record
 from eoi_jax.data.resampling import low_pass
 from eoi_jax.estimation.defaults import check_runs_of_samples, default_lowpass, velocity_noise
 from eoi_jax.estimation.preparation import TAPER
+from eoi_jax.estimation.within_samples import resampled
 from eoi_jax.models.jacobians import state_slopes
 from eoi_jax.models.plant import Plant, State
 
@@ -238,7 +239,7 @@ def equation(plant: Plant, records: Sequence[Record]) -> Equation:
     """
     records = [record.bridged for record in records]
     filters = default_filters(plant, records)
-    records = [record.resample(filters.substeps) for record in records]
+    records = [resampled(plant, record, filters.substeps) for record in records]
     motions = [motion(plant, record, filters.wide) for record in records]
     masks = [
         usable(plant, record, signals, filters)
