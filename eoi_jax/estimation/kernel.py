@@ -110,6 +110,25 @@ class Trace(eqx.Module):
     Phi: Float[Array | np.ndarray, "*steps ny np"]
 
 
+class Signals(eqx.Module):
+    """What passes F, in a step, or its states with a leading axis (order,).
+
+    Each is an array of its own: as columns of one array XLA computes the model again for every
+    column, whenever lanes of a `vmap` share parameters or gains.
+
+    Attributes:
+        injection: m u_eq with the mask m.
+        observed: m times the observed y^(r).
+        weight: m.
+        phi: m φ.
+    """
+
+    injection: Float[Array, "*order ny"]
+    observed: Float[Array, "*order ny"]
+    weight: Float[Array, "*order ny"]
+    phi: Float[Array, "*order ny np"]
+
+
 class Step(eqx.Module):
     """One step of a record as the loop reads it, or all steps with a leading axis.
 
@@ -154,7 +173,7 @@ class Carry(eqx.Module):
     z: Float[Array, " nz"]
     sensitivity: Float[Array, "nz np"]
     history: tuple[tuple[Output, Regressor], ...]
-    filtered: Float[Array, "order ny columns"]
+    filtered: Signals
     block: Float[Array, " np"]
     sums: Sums
     rates: Float[Array, "rates ny"] | None = None
@@ -322,7 +341,10 @@ class Kernel(eqx.Module):
             z,
             sensitivity,
             ((zero_output, zero_phi),) * (taps - 1),
-            zeros((self.lowpass.entry.shape[0], ny, size + 3), dtype),
+            jax.tree.map(
+                lambda signal: zeros((self.lowpass.entry.shape[0], *signal.shape), dtype),
+                Signals(zero_output, zero_output, zero_output, zero_phi),
+            ),
             zeros(size, dtype),
             sums,
             zeros((self.plant.rows - 1, ny), dtype) if self._keeps_rates else None,
@@ -381,20 +403,9 @@ class Kernel(eqx.Module):
             phi = jnp.where(algebraic[:, None], at_start[1], phi)
         history = ((f, phi), *carry.history)
         f, phi = self._moving_average(history)
-        signals = jnp.concatenate(
-            [
-                (observation.observed - f)[:, None],
-                observation.observed[:, None],
-                jnp.ones_like(f)[:, None],
-                phi,
-            ],
-            1,
-        )
-        # A model that is undefined at a masked step (√ of a negative level) must not spread NaN.
-        counted = row.use[:, None]
-        signals = jnp.where(counted > 0, counted * signals, 0.0)
-        filtered = self.lowpass.step(carry.filtered, signals)
-        sums, block, trace = self._accumulate(carry, filtered[0], observation, row)
+        signals = Signals(observation.observed - f, observation.observed, jnp.ones_like(f), phi)
+        filtered = jax.tree.map(partial(self._filtered, row.use), carry.filtered, signals)
+        sums, block, trace = self._accumulate(carry, filtered, observation, row)
         new = Carry(
             state,
             z_next,
@@ -510,14 +521,19 @@ class Kernel(eqx.Module):
         )
         return f, phi  # type: ignore[return-value]
 
+    def _filtered(
+        self, use: Output, state: Float[Array, "order *signal"], signal: Float[Array, "*signal"]
+    ) -> Float[Array, "order *signal"]:
+        """F of a signal of each output, one step further."""
+        counted = use.reshape(-1, *(1,) * (signal.ndim - 1))
+        # A model that is undefined at a masked step (√ of a negative level) must not spread NaN.
+        return self.lowpass.step(state, jnp.where(counted > 0, counted * signal, 0.0))
+
     def _accumulate(
-        self,
-        carry: Carry,
-        output: Float[Array, "ny columns"],
-        observation: Observation,
-        row: Step,
+        self, carry: Carry, filtered: Signals, observation: Observation, row: Step
     ) -> tuple[Sums, Array, Any]:
-        injection, observed, weight, phi = *output[:, :3].T, output[:, 3:]
+        parts = filtered.injection, filtered.observed, filtered.weight, filtered.phi
+        injection, observed, weight, phi = (part[0] for part in parts)
         score = row.score if row.emphasis is None else row.score * row.emphasis
         previous = carry.sums
         weighted = score[:, None] * phi

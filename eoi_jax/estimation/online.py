@@ -328,7 +328,12 @@ def _is_number(values: Array) -> Bool[Array, " channels"]:
 
 def _emptied(kernel: Carry, counts: StepMask) -> Carry:
     """The filter without what it remembers, of outputs that do not count."""
-    filtered = jnp.where(counts.usable[:, None], kernel.filtered, 0.0)
+
+    def emptied(state: Array) -> Array:
+        usable = counts.usable.reshape(-1, *(1,) * (state.ndim - 2))
+        return jnp.where(usable, state, 0.0)
+
+    filtered = jax.tree.map(emptied, kernel.filtered)
     return eqx.tree_at(lambda carry: carry.filtered, kernel, filtered)
 
 
