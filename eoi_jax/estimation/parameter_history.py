@@ -8,27 +8,26 @@ after the other, so that without forgetting it ends at θ plus the increment of 
 with e = F[u_eq] and ζ = φ = F[∂f/∂θ], or with instrumental variables ζ. Its covariance is
 σ² A⁻¹ J A⁻ᵀ with J = Σ λ^(2 age) ζᵀζ. Residuals are coloured: σ² is taken for each parameter such
 that the band of all samples is the standard error of the estimate (`robust_covariance.py`).
+
+It follows the iteration, as a loop of its own. Inside a pass it would come too early: which pass is
+the best one, the weights 1/P_j of the outputs and which parameters stay on their bounds are known
+at the end of a pass, instruments after all of them. The rows are there already, for the standard
+errors and the drifts. In real time, where one step must do it all, `OnlineEstimator.step` is the
+step of the pass and that of the recursion.
 """
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
 
-import jax
-import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Float
 
 from eoi_jax._checks import check, real
 from eoi_jax._display import Result
-from eoi_jax.compiler.programs import jit
 from eoi_jax.data.record import Record
 from eoi_jax.estimation.parameter_drift import ParameterDrift, find_drifts
-from eoi_jax.estimation.regression.recursive_least_squares import (
-    RecursiveLeastSquares,
-    RecursiveState,
-    information_inverse,
-)
+from eoi_jax.estimation.parameter_recursion import recursion_over_rows
+from eoi_jax.estimation.regression.recursive_least_squares import RecursiveLeastSquares
 from eoi_jax.estimation.regression.sample_rows import SampleRows, normal_equations
 from eoi_jax.models.plant import Plant
 
@@ -93,9 +92,7 @@ def parameter_history(
         errors: standard errors of the estimate, shape (np,).
         forgetting: λ.
     """
-    estimator = RecursiveLeastSquares(forgetting)
-    arrays = rows.error, rows.regressors, rows.instruments, rows.scored
-    increments, variances = (np.asarray(array) for array in _recursion(estimator, *arrays))
+    increments, variances = recursion_over_rows(RecursiveLeastSquares(forgetting), rows)
     theta, free = np.asarray(plant.theta), np.any(rows.zeta != 0.0, axis=(0, 1))
     with np.errstate(divide="ignore", invalid="ignore"):
         ratio = np.where(free, errors**2 / _variance(rows.zeta, rows.regressors), 1.0)
@@ -112,38 +109,6 @@ def parameter_history(
         find_drifts(plant, rows, records),
         tuple(plant.units.get(name, "") for name in plant.names),
     )
-
-
-@jit
-def _recursion(
-    estimator: RecursiveLeastSquares,
-    error: Array,
-    regressors: Array,
-    instruments: Array | None,
-    scored: Array,
-    inflation: float = 1e8,
-) -> tuple[Float[Array, "samples np"], Float[Array, "samples np"]]:
-    """Δ̂ after each sample, and its variances for σ² = 1; infinite where it is left open.
-
-    That is where its variance is more than `inflation` times that with all others fixed.
-    """
-    size = regressors.shape[2]
-
-    def body(carry: tuple[RecursiveState, Array], row: tuple) -> tuple[Any, Any]:
-        state, spread = carry
-        error, phi, zeta, counts = row
-        state, _ = estimator.step(state, phi, error, counts * 1.0, zeta)
-        remembered = jnp.where(counts, estimator.forgetting, 1.0) ** 2
-        used = phi if zeta is None else zeta
-        spread = remembered * spread + used.T @ used
-        gamma = information_inverse(state.information, zeta is None)
-        variance = jnp.einsum("ab,bc,ac->a", gamma, spread, gamma)
-        alone = jnp.abs(jnp.diagonal(state.information))
-        known = (alone > 0.0) & (jnp.abs(jnp.diagonal(gamma)) * alone < inflation)
-        return (state, spread), (state.increment, jnp.where(known, variance, jnp.inf))
-
-    start = estimator.init(size), jnp.zeros((size, size))
-    return jax.lax.scan(body, start, (error, regressors, instruments, scored))[1]
 
 
 def _at_samples(

@@ -131,6 +131,23 @@ def test_it_is_the_pass_and_the_recursion_of_a_whole_record(name):
     np.testing.assert_allclose(online.parameters[401:], known, rtol=1e-7, atol=1e-9)
 
 
+@pytest.mark.parametrize("forgetting", [1.0, 0.995])
+def test_its_scan_is_the_recursion_of_identify(forgetting):
+    """Parameters over time at the estimate, in one traced pass over the record."""
+    plant, observer = make("oscillator")
+    record, lowpass = recorded(plant), eoi.LowPass(8.0, 3)
+    fit = eoi.identify(
+        plant, record, observer, lowpass, recursive=True, forgetting=forgetting, transient=2.0,
+        substeps=1, smoothing=False, instruments=False,
+    )  # fmt: skip
+    estimator = eoi.OnlineEstimator(
+        fit.plant, observer, lowpass, H, forgetting=forgetting, transient=2.0
+    )
+    assert fit.history is not None
+    online = ours(estimator, record).parameters[400:]
+    np.testing.assert_allclose(online, fit.history.values[0][400:], rtol=1e-9)
+
+
 def test_fixed_parameters_stay_and_the_others_are_those_without_their_columns():
     plant, observer = make("oscillator")
     record, lowpass = recorded(plant, scale=1.0), eoi.LowPass(8.0, 3)

@@ -12,6 +12,8 @@ from scipy.signal import lfilter
 import eoi_jax as eoi
 from eoi_jax.estimation.parameter_drift import find_drifts
 from eoi_jax.estimation.parameter_history import ParameterHistory
+from eoi_jax.estimation.parameter_recursion import RecursionSettings, recursion_over_rows
+from eoi_jax.estimation.regression.recursive_least_squares import RecursiveLeastSquares
 from eoi_jax.estimation.regression.sample_rows import SampleRows
 
 H = 0.01
@@ -190,3 +192,37 @@ def test_the_promised_chance_of_a_false_alarm_is_kept(samples, colour, slowness)
         (drift,) = find_drifts(model, rows(draw, samples, colour, slowness, 0.1), record)
         assert drift.parameter == "c"
         assert abs(drift.after - drift.before - 0.1) < 4.0 * np.hypot(*drift.errors)
+
+
+# -- the loop of the recursion -------------------------------------------------------------
+
+
+def many_rows(size, instruments, count=2, samples=400):
+    """Rows of noise, some samples of which do not count."""
+    draw = np.random.default_rng(3)
+    phi = draw.standard_normal((samples, count, size))
+    phi[100:140] = 0.0
+    zeta = phi + 0.1 * draw.standard_normal(phi.shape) * (phi != 0.0) if instruments else None
+    error = phi @ np.linspace(1.0, 2.0, size) + 0.1 * draw.standard_normal((samples, count))
+    return SampleRows(error, phi, zeta, np.zeros(samples, int), np.arange(samples) + 1)
+
+
+@pytest.mark.parametrize("instruments", [False, True])
+def test_the_compiled_recursion_is_the_scan(instruments):
+    estimator, case = RecursiveLeastSquares(0.99), many_rows(3, instruments)
+    compiled = recursion_over_rows(estimator, case, RecursionSettings(chunk=150))
+    scanned = recursion_over_rows(estimator, case, RecursionSettings(max_products=0))
+    is_open = ~np.isfinite(scanned[1])
+    assert 1 <= np.sum(np.all(is_open, axis=1)) < 10
+    np.testing.assert_array_equal(~np.isfinite(compiled[1]), is_open)
+    for value, want in zip(compiled, scanned, strict=True):
+        np.testing.assert_allclose(value[~is_open], want[~is_open], rtol=1e-9)
+
+
+def test_more_parameters_than_are_compiled_take_the_scan():
+    case = many_rows(10, False)
+    values, variances = recursion_over_rows(RecursiveLeastSquares(0.99), case)
+    weights = case.scored.astype(float)
+    want, _ = eoi.recursive(case.regressors, case.error, weights, forgetting=0.99)
+    np.testing.assert_allclose(values, want, rtol=1e-12, atol=1e-12)
+    assert np.all(np.isfinite(variances[50:]))

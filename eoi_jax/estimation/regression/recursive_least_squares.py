@@ -12,13 +12,14 @@ With instrumental variables ζ in place of the first φ of both products, Γ₊�
 271).
 """
 
+from collections.abc import Callable
 from functools import partial
 from typing import Any
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-from jax.scipy.linalg import cho_factor, cho_solve, lu_factor, lu_solve
+from jax.scipy.linalg import cho_factor, cho_solve, solve_triangular
 from jaxtyping import Array, Float
 
 from eoi_jax._checks import check, check_shape, real
@@ -191,13 +192,23 @@ def _solver(information: Float[Array, "np np"], symmetric: bool) -> tuple[Any, F
     # Between rounding, which it divides, and the directions that are to be identified.
     ridge = jnp.finfo(information.dtype).eps ** (2.0 / 3.0)
     regular = scaled + ridge * jnp.eye(len(scale), dtype=scale.dtype)
-    if symmetric:
-        solved = partial(cho_solve, cho_factor(regular))
-    else:
-        solved = partial(lu_solve, lu_factor(regular))
+    solved = _factorised(regular, symmetric)
 
     def solve(rhs: Array) -> Array:
         solution = solved(rhs)
         return solution + solved(rhs - scaled @ solution)
 
     return solve, scale
+
+
+def _factorised(matrix: Float[Array, "np np"], symmetric: bool) -> Callable[[Array], Array]:
+    """Solution of systems with a matrix, symmetric and positive definite or any."""
+    if symmetric:
+        return partial(cho_solve, cho_factor(matrix))
+    factors, _, order = jax.lax.linalg.lu(matrix)
+
+    def solved(rhs: Array) -> Array:
+        forward = solve_triangular(factors, rhs[order], lower=True, unit_diagonal=True)
+        return solve_triangular(factors, forward)
+
+    return solved
