@@ -10,6 +10,7 @@ import pytest
 from scipy.signal import lfilter
 
 import eoi_jax as eoi
+from eoi_jax.estimation import parameter_recursion
 from eoi_jax.estimation.parameter_drift import find_drifts
 from eoi_jax.estimation.parameter_history import ParameterHistory
 from eoi_jax.estimation.parameter_recursion import RecursionSettings, recursion_over_rows
@@ -208,10 +209,11 @@ def many_rows(size, instruments, count=2, samples=400):
 
 
 @pytest.mark.parametrize("instruments", [False, True])
-def test_the_compiled_recursion_is_the_scan(instruments):
+def test_the_compiled_recursion_is_the_scan(instruments, monkeypatch):
     estimator, case = RecursiveLeastSquares(0.99), many_rows(3, instruments)
-    compiled = recursion_over_rows(estimator, case, RecursionSettings(chunk=150))
     scanned = recursion_over_rows(estimator, case, RecursionSettings(max_products=0))
+    monkeypatch.delattr(parameter_recursion, "_scanned")
+    compiled = recursion_over_rows(estimator, case, RecursionSettings(chunk=150))
     is_open = ~np.isfinite(scanned[1])
     assert 1 <= np.sum(np.all(is_open, axis=1)) < 10
     np.testing.assert_array_equal(~np.isfinite(compiled[1]), is_open)
