@@ -38,7 +38,7 @@ from eoi_jax.models.plant import Plant
 from eoi_jax.refinement.refine import refine_once
 from eoi_jax.refinement.remaining import remaining
 from eoi_jax.refinement.score_test import is_tested
-from eoi_jax.simulation.error_growth import is_lost
+from eoi_jax.simulation.error_growth import is_lost, returns
 
 _RULES = RULES.free_runs
 
@@ -177,9 +177,12 @@ class Search:
     @property
     def is_lost(self) -> bool:
         """Whether whole free runs of the declared model say nothing, however it is refined."""
-        whole = self.judge.longest is None
         errors = [base.runs[0].nrmse for base in self.bases]
-        return whole and all(is_lost(error, np.ones_like(error)) for error in errors)
+        if self.judge.longest is not None:
+            return False
+        if not all(is_lost(error, np.ones_like(error)) for error in errors):
+            return False
+        return not returns(self.base.refinement.plant, self.judge.records)
 
     def answer(self, best: Judged, start: Plant) -> FreeRunAnswer:
         """What the search came to, from this declared model."""

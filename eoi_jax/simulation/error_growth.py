@@ -59,6 +59,8 @@ class GrowthRules:
             their cost is then full of minima, and its slopes are lost in rounding.
         risen: rms residual, relative, by which longer windows show that the model is not exact.
         unseen: share of the information of a start below which a direction of it leaves no trace.
+        returning: time constants of the slowest mode, in a record, from which on the plant returns:
+            an unknown constant force has then moved it by 98 % of what it ever will.
     """
 
     lost: float = 1.0
@@ -76,6 +78,7 @@ class GrowthRules:
     hopeless: float = 1e6
     risen: float = 0.02
     unseen: float = 1e-10
+    returning: float = 4.0
 
 
 RULES = GrowthRules()
@@ -131,6 +134,29 @@ def error_growth(
         max(growth.rate for growth in growths),
         shortest,
     )
+
+
+def returns(plant: Plant, records: Sequence[Record]) -> bool:
+    """Whether what the model lacks displaces a plant by so much, and no further.
+
+    Its whole free runs then show what is missing, however large their errors are. An integrator,
+    or a time constant as long as the records, sums up what is missing from the start to the end.
+
+    Args:
+        plant: with its parameter values.
+        records: of its inputs and outputs.
+    """
+    for record in records:
+        bridged = record.bridged
+        index = np.linspace(0, len(bridged) - 1, RULES.instants).astype(int)
+        slopes, _ = _linearised(plant, bridged, index)
+        if not np.all(np.isfinite(slopes)):
+            return False
+        slowest = np.min(np.abs(np.linalg.eigvals(slopes)), axis=1)
+        duration = len(bridged) * bridged.sample_period
+        if np.median(slowest) * duration < RULES.returning:
+            return False
+    return True
 
 
 def window_head(window: float, plant: Plant, records: Sequence[Record]) -> int:

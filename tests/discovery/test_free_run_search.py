@@ -338,6 +338,25 @@ def test_a_base_that_is_lost_over_whole_records_is_judged_in_windows():
     assert whole.base.runs[0].window is None
 
 
+def test_whole_records_of_a_plant_that_returns_show_what_is_missing_however_large_it_is():
+    """Beside a level that is off, the held-out record hardly moves: its errors exceed its spread."""
+    time = 0.5 * np.arange(400)
+
+    def record(levels, seed):
+        u = np.repeat(levels, 400 // len(levels))
+        y = lfilter([0.0, 1.0 - np.exp(-0.05)], [1.0, -np.exp(-0.05)], 2.0 * u - 3.0)
+        y += 1e-3 * np.random.default_rng(seed).standard_normal(400)
+        return eoi.Record(time, u, y, hold="zero")
+
+    plant = eoi.Plant(lambda t, x, u, p: (p.k * u - x.y[0]) / p.tau, {"k": 1.0, "tau": 10.0}, 1)
+    records = record([4.0, 2.0, 3.0, 1.5], 1), record([1.0, 1.1, 0.95, 1.05], 2)
+    answer = search_free_runs([plant], [(records[:1], records[1:])], [effects.ConstantOffset()])
+    assert answer is not None
+    assert np.all(answer.base.runs[0].nrmse > 1.0)
+    assert answer.base.runs[0].window is None
+    assert [placed.effect.name for placed in answer.best.placed] == ["constant_offset"]
+
+
 def test_records_too_short_for_windows_are_not_judged():
     record = measured(1)
     short = eoi.Record(record.time[:20], record.inputs[:20], record.outputs[:20], hold="zero")

@@ -8,7 +8,7 @@ from scipy.linalg import expm
 
 import eoi_jax as eoi
 from eoi_jax.data.windows import start_samples
-from eoi_jax.simulation.error_growth import RULES, error_growth
+from eoi_jax.simulation.error_growth import RULES, error_growth, returns
 from eoi_jax.simulation.validate import validated_alike
 
 PERIOD = 0.01
@@ -110,3 +110,19 @@ def test_models_are_compared_in_the_same_windows():
     unstable, stable = validated_alike((second_order(), second_order(a=-25.0)), balanced())
     assert unstable.window == stable.window is not None
     assert unstable.rmse[0] < 0.1 * stable.rmse[0]
+
+
+@pytest.mark.parametrize(
+    ("rate", "degree", "duration", "known"),
+    [
+        (lambda t, x, u, p: -p.a * x.y[0] + u, 1, 4.5, True),
+        (lambda t, x, u, p: -p.a * x.y[0] + u, 1, 3.5, False),
+        (lambda t, x, u, p: u - 40.0 * p.a * x.y[0] - 0.1 * x.y[1], 2, 4.0, True),
+        (lambda t, x, u, p: u - p.a * x.y[1], 2, 400.0, False),
+    ],
+)
+def test_a_plant_returns_that_a_constant_force_displaces_by_so_much(rate, degree, duration, known):
+    plant = eoi.Plant(rate, {"a": 1.0}, degree)
+    time = np.linspace(0.0, duration, 101)
+    record = eoi.Record(time, np.zeros(101), np.sin(time), hold="zero")
+    assert returns(plant, [record]) == known
