@@ -87,13 +87,13 @@ def search_free_runs(
             they may have been made (the hold of their inputs); as they were taken so far first.
         effects: to try.
         further: models that have effects already; they are tried in the first round.
-        rival: another answer, which must predict worse.
+        rival: an answer with a disturbance in time. That describes the records in which it was seen
+            and predicts others only by chance: it must be better by more than that.
         level: of significance of the score test, for all tries together.
         present: effects in the model that explain the injection, and stay.
 
     Returns:
-        None where the model has no fit, the records are too short to judge, or the rival
-        is as good.
+        None where the model has no fit, the records are too short to judge, or the rival stays.
     """
     tried = [effect for effect in effects if not isinstance(effect, Drift | SinusoidalDisturbance)]
     judge = Judge.of(variants[0][1], starts[0])
@@ -130,7 +130,7 @@ def search_free_runs(
         best = chosen
     search, best = _made_best(searches, search, search.leanest(best))
     best = search.settled(best)
-    if rival is not None and not search.judge.prefers(best.runs, search.judge.runs(rival)):
+    if rival is not None and search.judge.prefers(search.judge.runs(rival), best.runs):
         return None
     return replace(search.answer(best, starts[0]), rounds=tuple(rounds))
 
@@ -294,7 +294,7 @@ class Search:
                 leaner.append(fit)
         if not leaner:
             return best
-        return self.leanest(min(leaner, key=lambda fit: (_size(fit), fit.error)))
+        return self.leanest(min(leaner, key=lambda fit: (fit.size, fit.error)))
 
     def settled(self, best: Judged) -> Judged:
         """The model refined over both lengths of runs: what predicts better."""
@@ -445,11 +445,6 @@ def _next_forms(placed: Sequence[Placed]) -> tuple[Placed, ...] | None:
         return None
     pairs = zip(placed, following, strict=True)
     return tuple(item if form is None else replace(item, effect=form) for item, form in pairs)
-
-
-def _size(model: Judged) -> int:
-    """Parameters of its effects."""
-    return sum(len(effect.names) for effect in model.placed)
 
 
 def _repeated(present: Sequence[Placed], placed: Sequence[Placed]) -> bool:

@@ -42,6 +42,11 @@ class Judged:
         """Mean logarithm of the normalised errors of all outputs, whole and in windows."""
         return mean_error(self.runs)
 
+    @property
+    def size(self) -> int:
+        """Parameters of its effects."""
+        return sum(len(effect.names) for effect in self.placed)
+
 
 @dataclass(frozen=True)
 class Judge:
@@ -128,8 +133,9 @@ class Judge:
     def plainest(self, trials: Sequence[Judged]) -> Judged:
         """The model with the fewest effects among those that are as good as the best one.
 
-        A rare effect must be better by as much as decides, times its rarity, than one that may do
-        the same.
+        Of as many effects that with the fewest parameters: an end stop imitates an offset. A rare
+        effect must be better by as much as decides, times its rarity, than one that may do the
+        same.
         """
 
         def weighed(trial: Judged) -> float:
@@ -138,7 +144,7 @@ class Judge:
 
         lowest = min(weighed(trial) for trial in trials)
         as_good = [trial for trial in trials if weighed(trial) < lowest + _RULES.min_fall]
-        return min(as_good, key=lambda trial: (len(trial.placed), weighed(trial)))
+        return min(as_good, key=lambda trial: (len(trial.placed), trial.size, weighed(trial)))
 
 
 def _moves(records: Sequence[Record], count: int) -> bool:

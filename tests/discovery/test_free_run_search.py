@@ -11,8 +11,9 @@ import eoi_jax as eoi
 from eoi_jax import effects
 from eoi_jax.discovery import free_run_search, in_free_runs
 from eoi_jax.discovery.free_run_search import Search, search_free_runs
-from eoi_jax.discovery.judge import Judge, _standardised
+from eoi_jax.discovery.judge import Judge, Judged, _standardised
 from eoi_jax.models.augmented import augmented, place
+from eoi_jax.models.effects import Product
 from eoi_jax.refinement.refine import refine_once
 from eoi_jax.refinement.remaining import remaining
 from eoi_jax.simulation.validate import validate
@@ -339,7 +340,7 @@ def test_a_base_that_is_lost_over_whole_records_is_judged_in_windows():
 
 
 def test_whole_records_of_a_plant_that_returns_show_what_is_missing_however_large_it_is():
-    """Beside a level that is off, the held-out record hardly moves: its errors exceed its spread."""
+    """The held-out record hardly moves: a level that is off exceeds its spread."""
     time = 0.5 * np.arange(400)
 
     def record(levels, seed):
@@ -355,6 +356,31 @@ def test_whole_records_of_a_plant_that_returns_show_what_is_missing_however_larg
     assert np.all(answer.base.runs[0].nrmse > 1.0)
     assert answer.base.runs[0].window is None
     assert [placed.effect.name for placed in answer.best.placed] == ["constant_offset"]
+
+
+@pytest.mark.parametrize(
+    ("rivals", "chosen"),
+    [
+        # An end stop imitates an offset with a parameter more.
+        ({"constant_offset": -1.32, "end_stop": -1.33}, "constant_offset"),
+        ({"constant_offset": -1.32, "end_stop": -1.36}, "end_stop"),
+        # A product names no cause.
+        ({"constant_offset": -1.32, "product": -1.37}, "constant_offset"),
+        ({"constant_offset": -1.32, "product": -1.42}, "product"),
+    ],
+)
+def test_of_laws_that_are_as_good_the_plainest_is_chosen(rivals, chosen):
+    plant, time = eoi.Plant(lambda t, x, u, p: p.b * u, {"b": 1.0}, 2), 0.1 * np.arange(60)
+    record = eoi.Record(time, np.sin(time), time - np.sin(time), hold="linear")
+    fit, judge = refine_once(plant, (record,), None), Judge((record,), 2.0, 6, 9)
+    whole, _ = judge.runs(plant)
+    tried = effects.ConstantOffset(), effects.EndStop(1), Product("u", "y")
+    trials = [
+        Judged(fit, (place(plant, law, 0),), (replace(whole, nrmse=np.exp([error])), None))
+        for law in tried
+        if (error := rivals.get(law.name)) is not None
+    ]
+    assert judge.plainest(trials).placed[0].effect.name == chosen
 
 
 def test_records_too_short_for_windows_are_not_judged():

@@ -9,6 +9,7 @@ import eoi_jax as eoi
 from eoi_jax import effects
 from eoi_jax._status import Status
 from eoi_jax.discovery.discover import _partial_where_more_is_left
+from eoi_jax.discovery.free_run_search import search_free_runs
 from eoi_jax.discovery.in_free_runs import (
     leaves_more,
     leaves_open,
@@ -91,6 +92,18 @@ def test_a_law_beside_the_answer_is_added(found):
     assert answer.plant.parameters["quadratic_drag"] == pytest.approx(0.2, rel=0.05)
     assert answer.windows_after is not None
     assert answer.windows_after.window == 2.0
+
+
+@pytest.mark.parametrize(("drift", "stays"), [(0.0, False), (0.3, True)])
+def test_an_answer_with_a_disturbance_in_time_must_predict_better_than_one_without(drift, stays):
+    """Beside a spring that takes all there is it is as good, and goes."""
+    hidden = SPRING | ({effects.Drift(): drift} if drift else {})
+    parts = (record(hidden, 1),), (record(hidden, 2),)
+    disturbed = [place(PLANT, effect, 0) for effect in (*SPRING, effects.Drift())]
+    values = {item.names[0]: {**SPRING, effects.Drift(): drift}[item.effect] for item in disturbed}
+    rival = augmented(PLANT.with_parameters(TRUTH), disturbed, values)
+    answer = search_free_runs([PLANT], [parts], [*SPRING], rival=rival)
+    assert (answer is None) == stays
 
 
 def test_a_model_that_a_constant_is_better_than_does_not_lack_nothing(found):

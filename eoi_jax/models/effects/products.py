@@ -27,6 +27,7 @@ class Product(AbstractTerm):
     name = "product"
     sentence = "a product of signals"
     gains = (Parameter("", ""),)
+    rarity = 2.0  # it names no cause: a law that is as good does
     depends_on = "y"
     only_in_free_runs = True
 
