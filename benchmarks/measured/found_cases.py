@@ -371,7 +371,7 @@ FIRST: Mapping[str, FoundSet] = {
         f"Site 24, Vollnkirchener Bach, University of Giessen, 2014 to 2016. {_SPOTPY}",
         aside=True,
     ),
-    "cycling_ride, heart": FoundSet(cycling_ride_heart, _RIDE, aside=True),
+    "cycling_ride, heart": FoundSet(cycling_ride_heart, _RIDE),
     "cycling_ride, speed": FoundSet(cycling_ride_speed, _RIDE),
     "global_temperature": FoundSet(
         global_temperature,

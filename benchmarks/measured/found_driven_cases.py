@@ -206,7 +206,6 @@ DRIVEN: Mapping[str, FoundSet] = {
         aero_shield,
         "matlab/examples/AeroShield/ident_data.txt, 1161 of 5000 rows, of "
         "https://github.com/gergelytakacs/AutomationShield",
-        aside=True,
     ),
     "ev3_motor": FoundSet(
         ev3_motor,

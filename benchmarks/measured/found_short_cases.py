@@ -195,7 +195,6 @@ SHORT: Mapping[str, FoundSet] = {
         zigzag_boat,
         "data/01_raw/USV/zigzag_30_inter_xy.csv of https://github.com/martinlarsalbert/"
         "System-identification-of-Vessel-Manoeuvring-Models",
-        aside=True,
     ),
     "rc_ladder": FoundSet(
         rc_ladder,

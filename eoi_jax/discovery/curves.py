@@ -36,7 +36,6 @@ from eoi_jax.models.effects.effect import (
 )
 from eoi_jax.models.placements import placements
 from eoi_jax.refinement.score_test import LinearisedRuns
-from eoi_jax.refinement.spans import spans_of
 
 _RULES = RULES.curves
 _SHAPES = (
@@ -186,7 +185,7 @@ def _curves(model: Judged, signals: Container[str], least: float) -> list[Placed
 
     Those of which a score test says most, and which take at least a share of the errors' power.
     """
-    plant, runs = model.refinement.plant, _runs_of(model)
+    plant, runs = model.refinement.plant, LinearisedRuns.from_refinement(model.refinement)
     present = {(placed.effect.kind, placed.channel) for placed in model.placed}
     longest = max(len(record) for record in runs.records)
     count = int(np.clip(longest // _RULES.samples, _RULES.fewest, _RULES.knots))
@@ -231,11 +230,6 @@ def _fitted(search: Search, origin: Judged, placed: Placed) -> Judged | None:
     return search.fitted(plant, (placed,), origin)
 
 
-def _runs_of(model: Judged) -> LinearisedRuns:
-    fit = model.refinement
-    return LinearisedRuns.of(fit, fit.records, spans_of(fit.records, fit.window), fit.substeps)
-
-
 def _signal(seen: Seen, placed: Placed) -> Float[np.ndarray, " samples"]:
     """What a curve is a function of, along the free runs."""
     return getattr(seen, placed.effect.depends_on)
@@ -246,7 +240,11 @@ def _signal(seen: Seen, placed: Placed) -> Float[np.ndarray, " samples"]:
 
 def _nearest_laws(model: Judged) -> list[str]:
     """A sentence for each curve that is nearly a law of the library."""
-    plant, runs, notes = model.refinement.plant, _runs_of(model), []
+    plant, runs, notes = (
+        model.refinement.plant,
+        LinearisedRuns.from_refinement(model.refinement),
+        [],
+    )
     for placed in model.placed:
         if not isinstance(placed.effect, Curve | InputCurve) or getattr(placed.effect, "times", ""):
             continue

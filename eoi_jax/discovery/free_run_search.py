@@ -7,7 +7,8 @@ parameters are biased hides right effects from both. The search:
    from the estimate of the passes and from nominal values, with each hold of the inputs that is
    possible; of these the one with the smallest free-run errors on the records that judge.
 2. Candidates: the effects, and pairs, of which a score test of the base says most (`remaining`),
-   and the set that the injection came to; an offset, and cells in series, in any case.
+   and the set that the injection came to; an offset, and cells in series, in any case; laws that
+   are like a term of the declared model, in its place (`replacements`).
 3. Each of the first few is added, and all parameters are refined again; of an effect with several
    forms also the further ones, as long as they fit better.
 4. The judge: the free-run errors on records that no fit has seen, whole and in windows. The best
@@ -29,6 +30,7 @@ from eoi_jax.discovery.additions import size_is_known
 from eoi_jax.discovery.judge import Judge, Judged, mean_error
 from eoi_jax.discovery.probability import Contest
 from eoi_jax.discovery.refit import not_simulated
+from eoi_jax.discovery.replacements import replaced_terms, replacements
 from eoi_jax.discovery.rules import RULES
 from eoi_jax.models.augmented import Placed, augmented
 from eoi_jax.models.effects import ConstantOffset, Drift, Product, SinusoidalDisturbance
@@ -120,6 +122,8 @@ def search_free_runs(
                 for plant, placed, origin in models
                 if origin is best
             ]
+        if number == 0:
+            models += [(*model, best) for model in replacements(best, tried)]
         trials = [trial for model in models if (trial := search.fitted(*model)) is not None]
         trials += search.further_forms(trials)
         accepted = [trial for trial in trials if search.judge.prefers(trial.runs, best.runs)]
@@ -280,6 +284,8 @@ class Search:
         declared = declared.with_parameters({name: values[name] for name in declared.names})
         further = tuple(item for item in placed if item not in base.placed)
         plant, effects = augmented(declared, further, values), (*base.placed, *further)
+        if further and (fixed := replaced_terms(declared, model.refinement.plant)):
+            plant = plant.declared_anew(fixed=fixed)
         return _fitted(plant, effects, self.searched, model.refinement.window, self.judge)
 
     def leanest(self, best: Judged) -> Judged:

@@ -31,6 +31,7 @@ from eoi_jax.discovery.judge import Judge, Judged, mean_error
 from eoi_jax.discovery.probability import Standing, from_contests
 from eoi_jax.discovery.refit import on_bounds
 from eoi_jax.discovery.remarks import FitNote, GridNote, HoldNote, Reason, is_on_fit
+from eoi_jax.discovery.replacements import replaced_terms
 from eoi_jax.discovery.result import Added, Discovery, PartialExplanation
 from eoi_jax.discovery.rivals import experiments
 from eoi_jax.discovery.rules import RULES
@@ -235,6 +236,7 @@ def with_further_effects(
     searched = [note for note in discovery.notes if isinstance(note, GridNote)]
     notes = [*_lasting(discovery, answer), *searched, *hints]
     notes.append(_FURTHER.format(labels_of(further), ratio) if further else _BETTER)
+    notes += _replaced(discovery, fit.plant, further)
     return replace(
         discovery, effects=names_of(model.placed), added=added,
         after=runs[0], windows_after=runs[1], found=fit, plant=fit.plant, held_out=answer.judging,
@@ -302,6 +304,7 @@ def _with_model(
     rivals = [rival.effect for item in added for rival in item.alternatives]
     names = tuple(dict.fromkeys(name for name in rivals if name not in names_of(model.placed)))
     notes = [*_lasting(discovery, answer), _REFINED, *_portion_note(answer)]
+    notes += _replaced(discovery, fit.plant, model.placed)
     return replace(
         discovery, effects=names_of(model.placed), added=added,
         ambiguous_with=names, advice=experiments(added, names),
@@ -331,6 +334,12 @@ def _not_on_fit(discovery: Discovery) -> list[str]:
 
 def _portion_note(answer: FreeRunAnswer) -> list[str]:
     return [] if answer.share == 1.0 else [_PORTION.format(100.0 * answer.share)]
+
+
+def _replaced(discovery: Discovery, plant: Plant, placed: Sequence[Placed]) -> list[str]:
+    """A note on each declared parameter whose term an effect has replaced."""
+    names = replaced_terms(discovery.declared.nominal, plant)
+    return [FitNote(_REPLACED.format(name, labels_of(placed))) for name in names]
 
 
 def _fit_of(
@@ -391,6 +400,10 @@ _BETTER = (
 )
 _PORTION = (
     "effects were searched in {:.3g} % of the samples, to save time; all of them refined the model"
+)
+_REPLACED = (
+    "{} is fixed at 0: in place of its term {} predicts the held-out records better, with as many "
+    "parameters"
 )
 _EXCHANGED = (
     "the other way about, fitted to the held-out records and judged on those of the fit, errors "

@@ -44,8 +44,9 @@ class Judged:
 
     @property
     def size(self) -> int:
-        """Parameters of its effects."""
-        return sum(len(effect.names) for effect in self.placed)
+        """Parameters of its effects, less those whose terms they replace."""
+        effects = sum(len(effect.names) for effect in self.placed)
+        return effects - len(self.refinement.plant.fixed)
 
 
 @dataclass(frozen=True)

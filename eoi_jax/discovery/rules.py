@@ -259,6 +259,10 @@ class FreeRunRules:
     # Power of the errors that a candidate may leave in the score test, over that which the best one
     # leaves: one that is missing alone takes 98 % and more. Set with `beyond_library` in view.
     remainder: float = 5.0
+    # Power of a declared term that an effect takes in its place, along the free runs, from which on
+    # it is tried there: of a swing of one amplitude friction takes 0.81 of a viscous term.
+    likeness: float = 0.5
+    replacing: int = 2  # effects that are tried in place of a term
     same_cost: float = 0.06  # fall of the fit's cost, Σ log rms², that does not tell holds apart
 
 

@@ -42,7 +42,7 @@ from eoi_jax.refinement.free_run_sums import signals
 from eoi_jax.refinement.own_unknowns import OwnUnknowns
 from eoi_jax.refinement.problem import Problem, Unknowns, driven, problem_of, weighed
 from eoi_jax.refinement.result import Refinement
-from eoi_jax.refinement.spans import Span
+from eoi_jax.refinement.spans import Span, spans_of
 from eoi_jax.simulation.chained_runs import states_along
 from eoi_jax.simulation.integrator import Drive
 from eoi_jax.simulation.linear_response import Response, response_of
@@ -135,6 +135,13 @@ class LinearisedRuns:
         stages = _stages(problem, inputs, y, z)
         return cls(plant, problem, stages, space, residual, tuple(records), response)
 
+    @classmethod
+    def from_refinement(cls, refinement: Refinement) -> "LinearisedRuns":
+        """Of a refinement, along the runs that it was fitted to."""
+        records = refinement.records
+        spans = spans_of(records, refinement.window)
+        return cls.of(refinement, records, spans, refinement.substeps)
+
     def signal_statistics(self, placed: Placed) -> Seen:
         """What the grids of shapes start from."""
         _, u, y, _ = self.stages
@@ -167,7 +174,7 @@ class LinearisedRuns:
         if isinstance(placed.effect, AbstractCascade):
             columns = self._sensed(placed, grid)
         else:
-            forces = [force for shape in grid for force in self._forces(placed, shape)]
+            forces = [force for shape in grid for force in self.forces(placed, shape)]
             if not forces:
                 return []
             columns = self._columns(forces)
@@ -252,7 +259,7 @@ class LinearisedRuns:
             values |= attempt.named(own_gains)
         return values
 
-    def _forces(self, placed: Placed, shape: np.ndarray) -> list[np.ndarray]:
+    def forces(self, placed: Placed, shape: np.ndarray) -> list[np.ndarray]:
         """What the effect adds to y^(r) along the runs for each gain, (runs, samples, 3, ny)."""
         t, u, y, _ = self.stages
         effect = placed.effect
@@ -297,6 +304,12 @@ class LinearisedRuns:
             time, level, rate, channel = map(jnp.asarray, along_runs)
             new[..., i] = np.asarray(effect.changed(At(time, level, rate, channel, None), shape))
         return _drift(self.plant, t, new, y, z) - self._unchanged
+
+    def contribution(self, name: str) -> np.ndarray:
+        """What a parameter of the plant adds to y^(r), beside zero, (runs, samples, 3, ny)."""
+        reduced = self.plant.with_parameters({name: 0.0})
+        with np.errstate(all="ignore"):
+            return self._unchanged - _drift(reduced, *self.stages)
 
     @cached_property
     def _unchanged(self) -> np.ndarray:

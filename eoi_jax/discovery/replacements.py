@@ -1,0 +1,84 @@
+"""Effects in place of a term of the declared model: drag with the square, no viscous friction.
+
+Along a record the effect and the term may be nearly in proportion. The records of the fit then do
+not tell one from the other, nor the size of the effect beside the term; but elsewhere both predict
+otherwise. With the effect in place of the term the model has as many parameters as before.
+"""
+
+from collections.abc import Sequence
+
+import numpy as np
+from jaxtyping import Float
+
+from eoi_jax.discovery.judge import Judged
+from eoi_jax.discovery.rules import RULES
+from eoi_jax.models.augmented import Placed, added_effects, augmented
+from eoi_jax.models.effects import Product
+from eoi_jax.models.effects.effect import AbstractEffect, AbstractTerm
+from eoi_jax.models.placements import placements
+from eoi_jax.models.plant import Plant
+from eoi_jax.refinement.score_test import LinearisedRuns
+
+_RULES = RULES.free_runs
+_SAME = 1.0 - 1e-6  # likeness of a law that the term is itself
+
+Model = tuple[Plant, tuple[Placed, ...]]  # with effects in it, and these
+Term = Float[np.ndarray, "runs samples 3 ny"]
+
+
+def replacements(model: Judged, effects: Sequence[AbstractEffect]) -> list[Model]:
+    """Models with an effect in place of a term, which its parameter at zero leaves out.
+
+    Effects of one gain are tried that have most in common with a term along the free runs; those
+    first that have more.
+
+    Args:
+        model: refined; what was added to it stays.
+        effects: to try.
+    """
+    plant, runs = model.refinement.plant, LinearisedRuns.from_refinement(model.refinement)
+    added = [name for placed in added_effects(plant) for name in placed.names]
+    present = {placed.site for placed in model.placed}
+    laws = [law for law in placements(plant, effects)
+            if _is_law(law) and law.site not in present]  # fmt: skip
+    models: list[tuple[float, Model]] = []
+    for name, low, high in zip(plant.names, plant.lower, plant.upper, strict=True):
+        if name in (*added, *plant.fixed) or not low <= 0.0 <= high:
+            continue
+        term = runs.contribution(name)
+        if not np.all(np.isfinite(term)):
+            continue
+        for likeness, law, gain in _substitutes(term, laws, runs):
+            whole = augmented(plant, (law,), {law.names[0]: gain})
+            models.append((likeness, (whole.declared_anew({name: 0.0}, fixed=(name,)), (law,))))
+    models.sort(key=lambda item: -item[0])
+    return [model for _, model in models[: _RULES.tried]]
+
+
+def replaced_terms(declared: Plant, plant: Plant) -> tuple[str, ...]:
+    """Parameters of a declared model whose terms an effect has replaced in another one."""
+    return tuple(name for name in plant.fixed if name not in declared.fixed)
+
+
+def _substitutes(
+    term: Term, laws: Sequence[Placed], runs: LinearisedRuns
+) -> list[tuple[float, Placed, float]]:
+    """Laws that have most in common with a term: how much, and their gains by least squares."""
+    ranked = []
+    for law in laws:
+        force = runs.forces(law, np.zeros(0))[0]
+        gain = float(np.sum(term * force) / max(np.sum(force**2), np.finfo(float).tiny))
+        likeness = gain * np.sum(term * force) / max(np.sum(term**2), np.finfo(float).tiny)
+        lower, upper = law.effect.parameters[0].lower, law.effect.parameters[0].upper
+        if _RULES.likeness < likeness < _SAME and lower <= gain <= upper:
+            ranked.append((likeness, law, gain))
+    ranked.sort(key=lambda item: -item[0])
+    return ranked[: _RULES.replacing]
+
+
+def _is_law(placed: Placed) -> bool:
+    """Whether it is a term of one gain, which names a cause."""
+    effect = placed.effect
+    if not isinstance(effect, AbstractTerm) or isinstance(effect, Product):
+        return False
+    return len(effect.parameters) == len(effect.gains) == 1 and effect.states == 0

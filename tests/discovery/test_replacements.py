@@ -1,0 +1,94 @@
+"""Effects in place of a term of the declared model."""
+
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
+
+import eoi_jax as eoi
+from eoi_jax import effects
+from eoi_jax.discovery.free_run_search import search_free_runs
+from eoi_jax.discovery.judge import Judge, Judged
+from eoi_jax.discovery.replacements import replaced_terms, replacements
+from eoi_jax.refinement.refine import refine_once
+
+PERIOD, COUNT, NOISE = 0.05, 400, 2e-3
+PLANT = eoi.Plant(
+    lambda t, x, u, p: -p.stiffness * x.y[0] - p.damping * x.y[1],
+    {"stiffness": 20.0, "damping": 0.1}, 2, inputs=(), outputs=("angle",),
+)  # fmt: skip
+LAWS = [effects.ViscousFriction(), effects.CoulombFriction(), effects.QuadraticDrag(),
+        effects.CubicDamping(), effects.ConstantOffset()]  # fmt: skip
+
+
+def released(start, seed, viscous, cubic):
+    """A swing that dies out, by SciPy."""
+    time = PERIOD * np.arange(COUNT)
+
+    def rate(t, x):
+        return [x[1], -25.0 * x[0] - viscous * x[1] - cubic * x[1] ** 3]
+
+    run = solve_ivp(rate, (0.0, time[-1]), [start, 0.0], t_eval=time, rtol=1e-9, atol=1e-12)
+    noise = NOISE * np.random.default_rng(seed).standard_normal(COUNT)
+    return eoi.Record(time, np.zeros((COUNT, 0)), run.y[0] + noise, hold="zero",
+                      output_names=("angle",))  # fmt: skip
+
+
+def searched(viscous, cubic):
+    large, small = released(1.0, 1, viscous, cubic), released(0.2, 2, viscous, cubic)
+    answer = search_free_runs([PLANT], [((large,), (small,))], LAWS)
+    assert answer is not None
+    return answer.best
+
+
+def test_laws_like_a_term_are_tried_in_its_place_with_the_gain_that_does_as_much():
+    record = released(1.0, 1, 0.2, 0.0)
+    fit = refine_once(PLANT, (record,), None)
+    judge = Judge.of((record,), PLANT)
+    assert judge is not None
+    models = replacements(Judged(fit, (), judge.runs(fit.plant)), LAWS)
+    named = [(placed[0].effect.name, replaced_terms(PLANT, plant)) for plant, placed in models]
+    # Viscous friction is the term itself; of the others two have most in common with it.
+    assert named == [("quadratic_drag", ("damping",)), ("cubic_damping", ("damping",))]
+    plant = models[0][0]
+    assert plant.parameters["damping"] == 0.0
+    assert plant.parameters["stiffness"] == fit.parameters["stiffness"]
+    # Σ v² |v| / Σ v⁴ of a swing of amplitude A that decays with e^(-0.1 t), over its damping.
+    speed = 5.0 * np.exp(-0.1 * record.time) * np.sin(5.0 * record.time)
+    gain = 0.2 * np.sum(np.abs(speed) ** 3) / np.sum(speed**4)
+    assert plant.parameters["quadratic_drag"] == pytest.approx(gain, rel=0.02)
+
+
+def test_the_only_term_of_a_model_is_replaced_too():
+    time = 0.1 * np.arange(200)
+    record = eoi.Record(time, np.zeros((200, 0)), 2.0 / (1.0 + 0.3 * time), hold="zero",
+                        output_names=("speed",), units={"speed": "rad/s"})  # fmt: skip
+    plant = eoi.Plant(lambda t, x, u, p: -p.friction * x.y[0], {"friction": 0.1}, 1, inputs=(),
+                      outputs=("speed",), units={"speed": "rad/s"})  # fmt: skip
+    fit = refine_once(plant, (record,), None)
+    judge = Judge.of((record,), plant)
+    assert judge is not None
+    models = replacements(Judged(fit, (), judge.runs(fit.plant)), [effects.QuadraticDrag()])
+    assert [plant.fixed for plant, _ in models] == [("friction",)]
+
+
+@pytest.mark.slow
+def test_a_law_comes_in_place_of_a_term_that_held_out_records_do_not_need():
+    best = searched(0.0, 0.05)
+    assert [placed.effect.name for placed in best.placed] == ["cubic_damping"]
+    assert replaced_terms(PLANT, best.refinement.plant) == ("damping",)
+    assert best.refinement.parameters["cubic_damping"] == pytest.approx(0.05, rel=0.05)
+
+
+@pytest.mark.slow
+def test_beside_a_term_that_they_need_it_is_added():
+    best = searched(0.1, 0.05)
+    assert [placed.effect.name for placed in best.placed] == ["cubic_damping"]
+    assert replaced_terms(PLANT, best.refinement.plant) == ()
+    assert best.refinement.parameters["damping"] == pytest.approx(0.1, rel=0.1)
+
+
+@pytest.mark.slow
+def test_a_term_that_is_right_stays():
+    best = searched(0.2, 0.0)
+    assert best.placed == ()
+    assert replaced_terms(PLANT, best.refinement.plant) == ()
