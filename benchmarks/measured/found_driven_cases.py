@@ -12,20 +12,8 @@ import jax.numpy as jnp
 import numpy as np
 
 import eoi_jax as eoi
-from benchmarks.measured.campaign_cases import Parts, Rig
-from benchmarks.measured.found_sets import FoundSet, Rows, quarters, records, table
-
-Runs = tuple[tuple[str, Rows], ...]  # names of files, with their rows
-
-
-def _runs(plant: eoi.Plant, folder: Path, parts: tuple[Runs, Runs, Runs]) -> Parts:
-    """Records from several files."""
-
-    def record(name: str, rows: Rows) -> eoi.Record:
-        return records(plant, table(folder / f"{name}.csv"), ((rows,),) * 3)[0][0]
-
-    first, second, third = (tuple(record(*run) for run in part) for part in parts)
-    return first, second, third
+from benchmarks.measured.campaign_cases import Rig
+from benchmarks.measured.found_sets import FoundSet, Runs, quarters, records, runs, table
 
 
 def aero_shield(folder: Path) -> Rig:
@@ -68,7 +56,7 @@ def ev3_motor(folder: Path) -> Rig:
         return tuple((f"run_{duty}", (0, 101)) for duty in duties)
 
     return Rig(
-        plant, _runs(plant, folder / "ev3_motor", (part(100, 40, -80), part(60), part(80, -40))),
+        plant, runs(plant, folder / "ev3_motor", (part(100, 40, -80), part(60), part(80, -40))),
         {"angle": (7.38, 7.38)}, {"angle": (2.75, 2.75)}, ("coulomb_friction|input_dead_zone",),
         "deg", windows=1,
     )  # fmt: skip
@@ -109,7 +97,7 @@ def torsion_rig(folder: Path) -> Rig:
     )  # fmt: skip
     parts = ((("start", (0, 274)),), (("later", (0, 130)),), (("later", (130, 259)),))
     return Rig(
-        plant, _runs(plant, folder / "torsion_rig", parts),
+        plant, runs(plant, folder / "torsion_rig", parts),
         {"disc": (4.52, 4.52)}, {"disc": (0.297, 0.297)},
         ("input_delay|actuator_lag|constant_offset|coulomb_friction",), "deg", windows=1,
         remark="the disc turns one way; an offset in place of the delay gives 0.267",
@@ -134,7 +122,7 @@ def foc_rotor(folder: Path) -> Rig:
         ((coasting, (50, 95)),),
     )
     return Rig(
-        plant, _runs(plant, folder / "foc_rotor", parts),
+        plant, runs(plant, folder / "foc_rotor", parts),
         {"speed": (0.479, 0.479)}, {"speed": (0.469, 0.469)}, (), "rad/s", windows=1,
         remark="a lag of 7 ms is probable; dry friction would help the untouched part only (0.288)",
     )  # fmt: skip
@@ -173,7 +161,7 @@ def water_tank(folder: Path) -> Rig:
     )  # fmt: skip
     parts = ((("run_2", (2, 223)),), (("run_1", (2, 60)),), (("run_1", (60, 118)),))
     return Rig(
-        plant, _runs(plant, folder / "water_tank", parts),
+        plant, runs(plant, folder / "water_tank", parts),
         {"level": (0.616, 0.616)}, {"level": (0.468, 0.468)},
         ("power_loss|constant_offset|quadratic_drag|product|curve",), "cm", windows=1,
     )  # fmt: skip

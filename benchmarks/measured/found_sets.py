@@ -17,6 +17,7 @@ from benchmarks.common import ROOT
 from benchmarks.measured.campaign_cases import Parts, Rig
 
 Rows = tuple[int, int]  # first row, and the one behind the last
+Runs = tuple[tuple[str, Rows], ...]  # names of files, with their rows
 
 
 @dataclass(frozen=True)
@@ -67,6 +68,18 @@ def records(
         )  # fmt: skip
 
     first, second, third = (tuple(record(rows) for rows in part) for part in parts)
+    return first, second, third
+
+
+def runs(
+    plant: eoi.Plant, folder: Path, parts: tuple[Runs, Runs, Runs], time_unit: float = 1.0
+) -> Parts:
+    """Records from several files of a folder."""
+
+    def record(name: str, rows: Rows) -> eoi.Record:
+        return records(plant, table(folder / f"{name}.csv"), ((rows,),) * 3, time_unit)[0][0]
+
+    first, second, third = (tuple(record(*run) for run in part) for part in parts)
     return first, second, third
 
 
