@@ -44,7 +44,7 @@ def discovery_figure(discovery: Discovery) -> Any:
     residual, runs = residual_series(discovery), free_runs(discovery)
     comparison = None if runs is None else free_run_series(runs)
     heights = [residual.height, 0.5 + 2.5 * rows, comparison.height if comparison else 1.0]
-    figure = new_figure(WIDE, sum(heights))
+    figure = new_figure(WIDE, sum(heights), nested=True)
     grid = figure.add_gridspec(3, 1, height_ratios=heights)
     draw_time_series(figure.add_subfigure(grid[0]), residual)
     _draw_maps(figure.add_subfigure(grid[1]), discovery)
@@ -83,7 +83,7 @@ def effect_figure(discovery: Discovery) -> Any:
     """
     maps = _maps(discovery)
     rows, _ = _layout(maps)
-    figure = new_figure(WIDTH, 0.7 + (2.1 if len(maps) > 1 else 2.6) * rows)
+    figure = new_figure(WIDTH, 0.7 + (2.1 if len(maps) > 1 else 2.6) * rows, nested=True)
     _draw_maps(figure, discovery)
     return fix_theme(figure)
 

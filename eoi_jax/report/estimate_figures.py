@@ -56,7 +56,7 @@ def refinement_figure(result: Refinement, record: int = 0, layout: EstimateLayou
     free = _free(result)
     rows = -(-len(free) // layout.per_row)
     heights = [runs.height if runs else 1e-3, 0.4 + 1.9 * rows]
-    figure = new_figure(WIDE, 0.4 + sum(heights))
+    figure = new_figure(WIDE, 0.4 + sum(heights), nested=True)
     grid = figure.add_gridspec(2, 1, height_ratios=heights)
     if runs:
         draw_time_series(figure.add_subfigure(grid[0]), runs)
@@ -108,7 +108,7 @@ def uncertainty_figure(
     names = _estimated(estimate)
     rows = -(-len(names) // layout.per_row)
     heights = [0.4 + 1.9 * rows, 1.2 + 0.34 * len(names)]
-    figure = new_figure(WIDE, sum(heights))
+    figure = new_figure(WIDE, sum(heights), nested=True)
     grid = figure.add_gridspec(2, 1, height_ratios=heights)
     upper = figure.add_subfigure(grid[0])
     _draw_intervals(upper, estimate, names, initial or {}, layout)

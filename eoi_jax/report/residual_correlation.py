@@ -34,7 +34,7 @@ def residual_correlation_figure(content: FreeRuns, max_channels: int = 3) -> Any
     count = len(outputs) * (1 + len(inputs))
     columns = min(count, 2)
     rows = -(-count // columns)
-    figure = new_figure(WIDTH, 0.6 + 1.9 * rows)
+    figure = new_figure(WIDTH, 0.6 + 1.9 * rows, nested=True)
     panels = iter(figure.subplots(rows, columns, squeeze=False).ravel())
     first = None
     for j, output in enumerate(outputs):

@@ -89,7 +89,7 @@ def sweep_figure(sweep: Any, best: Any = None, max_gains: int = 5) -> Any:
     varying += ["cutoff"] if "cutoff" in sweep.coords and sweep.sizes["lowpass"] > 1 else []
     names = varying[:max_gains] or ["observer"]
     rows = sweep.sizes["output"]
-    figure = new_figure(3.2 * len(names) + 1.2, 3.0 * rows + 0.6)
+    figure = new_figure(3.2 * len(names) + 1.2, 3.0 * rows + 0.6, nested=True)
     panels = figure.subplots(rows, len(names), squeeze=False, sharey="row")
     scatters = [
         _scatter(panel, sweep, index.isel(output=j), name, j)
