@@ -17,8 +17,8 @@ from ._checks import FigureWarning as FigureWarning
 from ._checks import RecordWarning as RecordWarning
 from ._checks import StoreWarning as StoreWarning
 from ._status import Status as Status
-from .comparison.compare import Comparison as Comparison
 from .comparison.compare import compare as compare
+from .comparison.result import Comparison as Comparison
 from .compiler.jax_setup import configure as configure
 from .data import excitation as excitation
 from .data.inspection import Inspection as Inspection

@@ -11,6 +11,7 @@ from typing import Any
 import msgspec
 import numpy as np
 
+from eoi_jax import cli
 from eoi_jax._atomic import write_file, write_folder
 from eoi_jax._checks import check, counted, is_or_are
 from eoi_jax._status import Status
@@ -24,7 +25,6 @@ from eoi_jax.cli.summary import (
     refinement_summary,
     sweep_summary,
 )
-from eoi_jax.cli.template import checked, draft
 from eoi_jax.cli.terminal import Outcome, ProgressCallback, shell_word
 from eoi_jax.compiler import jax_setup
 from eoi_jax.data.holds import made_alike
@@ -32,10 +32,9 @@ from eoi_jax.data.inspection import inspect as inspect_file
 from eoi_jax.data.readers.limits import MAX_GIGABYTES
 from eoi_jax.discovery.discover import discover as run_discovery
 from eoi_jax.discovery.result import Discovery
+from eoi_jax.estimation import sweep as sweeps
 from eoi_jax.estimation.identify import Identification
 from eoi_jax.estimation.identify import identify as run_passes
-from eoi_jax.estimation.sweep.best import best
-from eoi_jax.estimation.sweep.sweep import sweep as run_sweep
 from eoi_jax.refinement.refine import refine as run_refinement
 from eoi_jax.refinement.result import Refinement
 from eoi_jax.report.discovery import answer, discovery_text
@@ -229,7 +228,7 @@ def sweep(
     source, job = _prepare(config, "pendulum_sweep", data, output, None)
     folder = output / job.settings.name
     with run_folder.quiet_records():
-        result = run_sweep(
+        result = sweeps.sweep.sweep(
             job.model,
             job.records,
             **build.sweep(job.settings, job.model),
@@ -238,7 +237,8 @@ def sweep(
             progress=progress,
         )
         has_answer = bool(result["ok"].any())
-        best_lane = best(result, job.model, job.held_out or None) if has_answer else None
+        held_out = job.held_out or None
+        best_lane = sweeps.best.best(result, job.model, held_out) if has_answer else None
     summary = sweep_summary(job, result, best_lane)
     text = sweep_text(result, best_lane)
     if job.loop is not None:
@@ -335,7 +335,8 @@ def init(
             inspect_file(path, size, time=time, inputs=inputs, outputs=outputs) for path in paths
         ]
         inspection = inspections[0]
-        text = checked(draft(inspections, config_path), config_path)
+        draft = cli.template.draft(inspections, config_path)
+        text = cli.template.checked(draft, config_path)
 
     def fill(new: Path) -> None:
         new.write_text(text, encoding="utf-8")

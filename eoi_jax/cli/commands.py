@@ -5,11 +5,11 @@ completion do not wait for JAX.
 """
 
 import sys
-import webbrowser
 from collections.abc import Callable
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
+import lazy_loader
 import typer
 
 from eoi_jax import cli
@@ -47,6 +47,8 @@ from eoi_jax.cli.terminal import (
     progress,
     show,
 )
+
+webbrowser: Any = lazy_loader.load("webbrowser")  # one command needs it, and none to begin
 
 app = typer.Typer(
     cls=Commands,

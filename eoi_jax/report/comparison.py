@@ -5,7 +5,7 @@ from typing import Any
 import numpy as np
 
 from eoi_jax._checks import counted
-from eoi_jax.comparison.compare import Comparison, Entry
+from eoi_jax.comparison.result import Comparison, Entry
 from eoi_jax.report.style import WIDE, fix_theme, logarithmic, new_figure, series, themed, with_unit
 from eoi_jax.report.tables import columns, with_error
 

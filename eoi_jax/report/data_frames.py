@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from eoi_jax.comparison.compare import Comparison
+from eoi_jax.comparison.result import Comparison
 from eoi_jax.data.inspection import Inspection
 from eoi_jax.data.record import Record
 from eoi_jax.discovery.diagnosis import Diagnosis

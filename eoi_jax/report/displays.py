@@ -4,7 +4,7 @@ from collections.abc import Callable
 from dataclasses import replace
 
 from eoi_jax._display import data_frame, dataset, figure, findings, text
-from eoi_jax.comparison.compare import Comparison
+from eoi_jax.comparison.result import Comparison
 from eoi_jax.data.inspection import Inspection
 from eoi_jax.data.interchange import record_to_pandas, record_to_xarray
 from eoi_jax.data.record import Record

@@ -13,6 +13,7 @@ from typer.testing import CliRunner
 from eoi_jax.cli import actions
 from eoi_jax.cli.commands import app
 from eoi_jax.compiler import jax_setup
+from eoi_jax.estimation import sweep as sweeps
 
 CONFIG = """
 name = "run"
@@ -129,8 +130,9 @@ def test_an_output_folder_that_is_a_file_is_refused(tmp_path: Path):
 @pytest.fixture
 def no_work(monkeypatch: pytest.MonkeyPatch):
     """A command that gets as far as its work fails."""
-    for name in ("run_passes", "run_discovery", "run_sweep", "inspect_file"):
-        monkeypatch.setattr(actions, name, lambda *_, **__: pytest.fail("it began to work"))
+    works = [(actions, name) for name in ("run_passes", "run_discovery", "inspect_file")]
+    for module, name in (*works, (sweeps.sweep, "sweep")):
+        monkeypatch.setattr(module, name, lambda *_, **__: pytest.fail("it began to work"))
 
 
 @pytest.mark.parametrize("command", ["identify", "discover", "refine", "sweep", "inspect", "init"])

@@ -12,10 +12,11 @@ import pytest
 from typer.testing import CliRunner
 
 import eoi_jax as eoi
-from eoi_jax.cli import actions, build
+from eoi_jax.cli import build
 from eoi_jax.cli import config as configs
 from eoi_jax.cli.commands import app
 from eoi_jax.compiler import jax_setup
+from eoi_jax.estimation import sweep as sweeps
 from eoi_jax.estimation.engines import Scan
 from eoi_jax.estimation.sweep.sweep import sweep
 from eoi_jax.report.sweep import sweep_figure
@@ -95,7 +96,7 @@ def test_a_config_stands_for_the_same_call(config: Path):
 @pytest.mark.long
 def test_the_command_writes_a_store_and_goes_on_from_it(config: Path, tmp_path: Path, monkeypatch):
     calls = iter(range(100))
-    whole = actions.run_sweep
+    whole = sweeps.sweep.sweep
 
     def interrupted(*args, **options):
         class Once(Scan):
@@ -106,11 +107,11 @@ def test_the_command_writes_a_store_and_goes_on_from_it(config: Path, tmp_path: 
 
         return whole(*args, **options, engine=Once())
 
-    monkeypatch.setattr(actions, "run_sweep", interrupted)
+    monkeypatch.setattr(sweeps.sweep, "sweep", interrupted)
     first = run(config, "--output", tmp_path)
     assert first.exit_code == 130
     assert "the same command continues" in first.stderr
-    monkeypatch.setattr(actions, "run_sweep", whole)
+    monkeypatch.setattr(sweeps.sweep, "sweep", whole)
     second = run(config, "--output", tmp_path, "--json")
     assert second.exit_code == 0, second.stderr
     summary = json.loads(second.stdout)
