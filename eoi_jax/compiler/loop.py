@@ -29,7 +29,7 @@ import jax
 import numpy as np
 
 from eoi_jax.compiler.graph import Graph, Node, Untranslatable, rewrite, topological_order
-from eoi_jax.compiler.trace import constant_nodes, translate
+from eoi_jax.compiler.trace import constant_nodes, translate, translated
 
 FIXED, LANE, ROW, LANE_ROW = 0, 1, 2, 3  # bits: differs between lanes; changes with the row
 CARRY, BLOCK = "carry", "block"
@@ -288,14 +288,16 @@ def _without_events(
 
 def _traced(graph: Graph, loop: AbstractLoop) -> tuple[list[Node], _Step, list[Node], Any]:
     """Carried numbers at first, a step, flags of rare rows, places of the result."""
-    carry = jax.eval_shape(loop.begin, loop.lane, loop.fixed)
+    begin, carry = jax.make_jaxpr(loop.begin, return_shape=True)(loop.lane, loop.fixed)
     if any(leaf.dtype != loop.dtype for leaf in jax.tree.leaves(carry)):
         raise Untranslatable("a carry of another type than the lanes")
     lane, fixed = _inputs(graph, "lane", loop.lane), _inputs(graph, "fixed", loop.fixed)
     row, carry_inputs = _inputs(graph, "row", loop.row), _inputs(graph, CARRY, carry)
     if loop.by_block:  # the last of a row's leaves
         row[-1] = _inputs(graph, BLOCK, jax.tree.leaves(loop.row)[-1])[0]
-    initial = _translated(graph, loop.begin, (loop.lane, loop.fixed), [*lane, *fixed])
+    initial = [
+        node for array in translated(graph, begin, [*lane, *fixed]) for node in array.ravel()
+    ]
     trees = (loop.lane, loop.fixed, carry, loop.row)
     graph.branches = [] if loop.branches else None
     after = _translated(graph, loop.advance, trees, [*lane, *fixed, *carry_inputs, *row])
