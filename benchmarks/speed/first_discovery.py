@@ -1,7 +1,8 @@
 """The first discovery of a process: what it compiles, and its time over that of `import jax`.
 
 `eoi discover` on its built-in example, from the start of the process to the report, cold (nothing
-on disk) and warm (what the process before it kept), by turns with `import jax`; medians.
+compiled on disk) and warm (what the process before it kept), by turns with `import jax`; medians.
+Python's bytecode is there, as an installation leaves it, of this package as of JAX.
 
     python benchmarks/speed/first_discovery.py [--quick] [--write]
 """
@@ -66,9 +67,13 @@ class Run:
     processor: float
 
 
-def process(code: str, words: list[str], folder: Path, settings: dict[str, str]) -> Run:
+def process(
+    code: str, words: list[str], folder: Path, bytecode: Path, settings: dict[str, str]
+) -> Run:
     """Python with some code, in a folder of its own."""
-    environment = os.environ | {"PYTHONPATH": str(ROOT), "JAX_PLATFORMS": "cpu"} | settings
+    python = {"PYTHONPATH": str(ROOT), "PYTHONPYCACHEPREFIX": str(bytecode)}
+    python["PYTHONDONTWRITEBYTECODE"] = ""
+    environment = os.environ | python | {"JAX_PLATFORMS": "cpu"} | settings
     before, start = resource.getrusage(resource.RUSAGE_CHILDREN), time.perf_counter()
     subprocess.run(
         [sys.executable, "-c", code, *words], cwd=folder, env=environment, check=True,
@@ -80,46 +85,48 @@ def process(code: str, words: list[str], folder: Path, settings: dict[str, str])
     return Run(wall, spent)
 
 
-def discovery(code: str, cache: Path, counts: Path | None = None) -> Run:
+def discovery(code: str, cache: Path, bytecode: Path, counts: Path | None = None) -> Run:
     """`eoi discover` with a cache, and a file for what `COUNTED` counts."""
     settings = {"EOI_CACHE": str(cache), "COUNTS": str(counts)}
     with tempfile.TemporaryDirectory() as folder:
-        return process(code, ["discover", "--quiet"], Path(folder), settings)
+        return process(code, ["discover", "--quiet"], Path(folder), bytecode, settings)
 
 
-def compilations() -> list[list[str]]:
-    """Of a first process and of the next one, by the same cache."""
+def compilations(bytecode: Path) -> list[list[str]]:
+    """Of a first process and of the next one, by the same cache; their bytecode stays."""
     rows = []
     with tempfile.TemporaryDirectory() as folder:
         counts = Path(folder) / "counts"
         for name in ("first process", "next process"):
-            discovery(COUNTED, Path(folder) / "cache", counts)
+            discovery(COUNTED, Path(folder) / "cache", bytecode, counts)
             rows.append([name, *counts.read_text(encoding="utf-8").split()])
     return rows
 
 
-def times(turns: int) -> dict[str, list[Run]]:
+def times(turns: int, bytecode: Path) -> dict[str, list[Run]]:
     """`import jax`, a cold and a warm discovery, by turns."""
     runs: dict[str, list[Run]] = {"import jax": [], "cold": [], "warm": []}
     for _ in range(turns):
         with tempfile.TemporaryDirectory() as folder:
             cache = Path(folder) / "cache"
-            runs["import jax"].append(process("import jax", [], Path(folder), {}))
-            runs["cold"].append(discovery(DISCOVER, cache))
-            runs["warm"].append(discovery(DISCOVER, cache))
+            runs["import jax"].append(process("import jax", [], Path(folder), bytecode, {}))
+            runs["cold"].append(discovery(DISCOVER, cache, bytecode))
+            runs["warm"].append(discovery(DISCOVER, cache, bytecode))
     return runs
 
 
 def main() -> None:
     options = arguments(__doc__)
     report = Report("The first discovery of a process")
+    turns = QUICK_TURNS if options.quick else TURNS
+    with tempfile.TemporaryDirectory() as folder:
+        counted = compilations(Path(folder))
+        runs = times(turns, Path(folder))
     report.add(
         "Programs of XLA that are asked for, those of them that the disk did not have, and loops "
         "compiled to machine code by LLVM.",
-        table(["", "XLA asked", "XLA compiled", "LLVM compiled"], compilations()),
+        table(["", "XLA asked", "XLA compiled", "LLVM compiled"], counted),
     )
-    turns = QUICK_TURNS if options.quick else TURNS
-    runs = times(turns)
     rows = []
     for name, several in runs.items():
         row = [name]
