@@ -54,7 +54,8 @@ def placements(plant: Plant, effects: Sequence[AbstractEffect]) -> list[Placed]:
     placed, coupled = [], plant.coupled
     for effect in effects:
         if isinstance(effect, INPUT_EFFECTS):
-            placed += [place(plant, effect, i) for i in range(len(plant.inputs))]
+            inputs = range(len(plant.inputs))
+            placed += [place(plant, effect, i) for i in inputs if effect.fits(plant, i)]
         else:
             inner = isinstance(effect, AbstractInternalEffect)
             count = own_states(plant) if inner else len(plant.outputs)

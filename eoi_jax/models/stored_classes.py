@@ -94,6 +94,7 @@ CLASSES: Mapping[str, str] = {
     "StribeckFriction": "models.effects.friction",
     "ViscousFriction": "models.effects.friction",
     "ActuatorLag": "models.effects.inputs",
+    "ErrorSaturation": "models.effects.inputs",
     "InputDeadZone": "models.effects.inputs",
     "InputDelay": "models.effects.inputs",
     "InputQuadratic": "models.effects.inputs",

@@ -26,6 +26,7 @@ from eoi_jax.models.effects.friction import QuadraticDrag as QuadraticDrag
 from eoi_jax.models.effects.friction import StribeckFriction as StribeckFriction
 from eoi_jax.models.effects.friction import ViscousFriction as ViscousFriction
 from eoi_jax.models.effects.inputs import ActuatorLag as ActuatorLag
+from eoi_jax.models.effects.inputs import ErrorSaturation as ErrorSaturation
 from eoi_jax.models.effects.inputs import InputDeadZone as InputDeadZone
 from eoi_jax.models.effects.inputs import InputDelay as InputDelay
 from eoi_jax.models.effects.inputs import InputQuadratic as InputQuadratic

@@ -178,7 +178,7 @@ class AbstractEffect(ABC):
         return self.gains + self.shapes
 
     def fits(self, plant: Plant, output: int) -> bool:
-        """Whether it is meaningful for this output of this plant."""
+        """Whether it is meaningful for this output of this plant; on inputs: for this input."""
         del plant, output
         return True
 

@@ -1,6 +1,6 @@
 """Effects between the recorded input and the plant."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import jax
@@ -18,6 +18,7 @@ from eoi_jax.models.effects.effect import (
     Seen,
     quantiles,
 )
+from eoi_jax.models.plant import Plant
 
 # A lag of fewer steps settles within each, by exp(-1000); the limit keeps the derivative at zero.
 _SHORTEST = 1e-3
@@ -54,6 +55,32 @@ class InputSaturation(AbstractInputEffect):
 
     def changed(self, at: At, shape: Any) -> Any:
         return jnp.clip(at.u, -shape[0], shape[0])
+
+
+class ErrorSaturation(AbstractInputEffect):
+    """y + clip(u - y, -L, L): a control error that is limited, as by the supply of a servo's drive.
+
+    The input commands the output, in its unit. A drive that gives all it can no longer knows by how
+    much the command is missed: large steps end in a motion of constant speed, or of constant power.
+    """
+
+    name = "error_saturation"
+    sentence = "a saturation of the control error, input less output"
+    rarity = 1.0  # one of the input, or drag, is more common
+    shapes = (Parameter("", "{u}", lower=0.0),)
+    only_in_free_runs = True
+
+    def fits(self, plant: Plant, output: int) -> bool:
+        """Whether the input has the unit of the first output."""
+        units = plant.units
+        unit = units.get(plant.inputs[output])
+        return bool(unit) and unit == units.get(plant.outputs[0]) and plant.degrees[0] > 0
+
+    def grid(self, seen: Seen) -> Grid:
+        return InputSaturation().grid(replace(seen, u=seen.u - seen.y))
+
+    def changed(self, at: At, shape: Any) -> Any:
+        return at.y + jnp.clip(at.u - at.y, -shape[0], shape[0])
 
 
 @dataclass(frozen=True)

@@ -14,6 +14,7 @@ from eoi_jax.models.effects.friction import (
 )
 from eoi_jax.models.effects.inputs import (
     ActuatorLag,
+    ErrorSaturation,
     InputDeadZone,
     InputDelay,
     InputQuadratic,
@@ -83,8 +84,8 @@ def wider() -> tuple[AbstractEffect, ...]:
     """Effects that `discover` tries in free runs alone, where nothing else is an answer.
 
     Products of signals, damping with the square of the displacement, a second store, a loss with a
-    power of the output, radiation, a yield law, a response to the rate of the input, a lag of the
-    sensor, cells in series (two; a fit goes on to 3, 6 and 12).
+    power of the output, radiation, a yield law, a limited control error, a response to the rate of
+    the input, a lag of the sensor, cells in series (two; a fit goes on to 3, 6 and 12).
 
     Returns:
         One object of each form.
@@ -103,6 +104,7 @@ def wider() -> tuple[AbstractEffect, ...]:
         Radiation(celsius=False),
         Radiation(celsius=True),
         InputYield(),
+        ErrorSaturation(),
         InputRate(),
         SensorLag(),
         CellsInSeries(),
