@@ -27,7 +27,13 @@ import numpy as np
 
 from eoi_jax.data.record import Record
 from eoi_jax.discovery.additions import size_is_known
-from eoi_jax.discovery.judge import Judge, Judged, mean_error
+from eoi_jax.discovery.judge import (
+    Judge,
+    Judged,
+    error_ratio,
+    least_error_ratio,
+    mean_error,
+)
 from eoi_jax.discovery.probability import Contest
 from eoi_jax.discovery.refit import not_simulated
 from eoi_jax.discovery.replacements import replaced_terms, replacements
@@ -109,12 +115,12 @@ def search_free_runs(
     search = _most_likely(searches)
     best, rounds = search.base, []
     for number in range(1 if present else _RULES.most):
-        # What short runs do not show a whole one may, and the other way about.
-        nominated: dict[Sites, tuple[Plant, tuple[Placed, ...], Judged]] = {}
-        for origin in search.bases if number == 0 and not present else (best,):
-            for plant, placed in search.candidates(origin, tried, level):
-                nominated.setdefault(_sites_of(placed), (plant, placed, origin))
-        models = list(nominated.values())
+        # What short runs do not show or fit a whole one may, and the other way about.
+        models = [
+            (plant, placed, origin)
+            for origin in (search.bases if number == 0 and not present else (best,))
+            for plant, placed in search.candidates(origin, tried, level)
+        ]
         if number == 0 and not present:
             models += [(*candidate, best) for candidate in further if not _in_time(candidate[1])]
             models += [
@@ -322,6 +328,26 @@ def exchanged_ratio(answer: FreeRunAnswer) -> float:
         for model in (answer.base, answer.best)
     )
     return np.inf if base is None or best is None else float(np.exp(best.error - base.error))
+
+
+def long_run_ratio(answer: FreeRunAnswer) -> float:
+    """Ratio of the errors of long runs with and without the effects, where short ones tell nothing.
+
+    Short runs start anew so often that effects may hardly change them: what they miss by is noise,
+    and cannot fall. Long runs are then asked, on the records that judge and on those of the fit,
+    and the larger ratio counts. Infinite where effects could lower the errors of short runs enough
+    to be confirmed, or where these grow.
+    """
+    best, base = answer.best.runs, answer.base.runs
+    assert best[1] is not None
+    assert base[1] is not None
+    judge = Judge.of(_portion(answer.records), answer.base.refinement.plant)
+    tells = least_error_ratio(best[1], base[1]) < RULES.answer.confirmed
+    grows = np.log(error_ratio(best[1], base[1])) > RULES.judge.same_error
+    if tells or grows or judge is None:
+        return np.inf
+    fits = [judge.runs(model.refinement.plant)[0] for model in (answer.best, answer.base)]
+    return max(error_ratio(best[0], base[0]), error_ratio(fits[0], fits[1]))
 
 
 def refined(

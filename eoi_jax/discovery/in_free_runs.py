@@ -24,6 +24,7 @@ from eoi_jax.discovery.free_run_search import (
     RecordPair,
     Search,
     exchanged_ratio,
+    long_run_ratio,
     refined,
     search_free_runs,
 )
@@ -259,14 +260,18 @@ def answered(discovery: Discovery, answer: FreeRunAnswer, lowpass: LowPass | Non
 
     It must lower the errors as much as what confirms an effect elsewhere (`confirm.py`): part of an
     effect that the library lacks can lower them a little, too. Where it lowers those of the
-    held-out records less, but by more than chance, the mean over both parts counts, each predicted
-    by the other. Else it is the lead, and the
-    declared model is refined unless that raises them by more than chance.
+    held-out records less, but by more than chance, long runs alone count where short ones tell
+    nothing of it; or the mean over both parts, each predicted by the other. Else it is the lead,
+    and the declared model is refined unless that raises them by more than chance.
     """
     base, best = answer.base, answer.best
     ratio = float(np.exp(best.error - base.error))
     confirms = ratio < RULES.answer.confirmed
     notes: list[str] = []
+    if best.placed and not confirms:
+        ratio_of_long = long_run_ratio(answer)
+        confirms = ratio_of_long < RULES.answer.confirmed
+        notes = [FitNote(_LONG_RUNS.format(ratio_of_long))]
     if best.placed and not confirms:
         exchanged = exchanged_ratio(answer)
         confirms = exchanged < 1.0 and np.sqrt(ratio * exchanged) < RULES.answer.confirmed
@@ -404,6 +409,11 @@ _PORTION = (
 _REPLACED = (
     "{} is fixed at 0: in place of its term {} predicts the held-out records better, with as many "
     "parameters"
+)
+_LONG_RUNS = (
+    "in short runs the predictions with and without it hardly differ: long runs decide, whose "
+    "errors have {:.3g} of those of the refined declared model or less, also on the records of "
+    "the fit"
 )
 _EXCHANGED = (
     "the other way about, fitted to the held-out records and judged on those of the fit, errors "

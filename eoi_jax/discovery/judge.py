@@ -70,7 +70,8 @@ class Judge:
     def of(cls, records: tuple[Record, ...], plant: Plant) -> "Judge | None":
         """The judge of a model and of what is added to it; None with records too short for windows.
 
-        Windows are long enough for motion beyond the noise, and to know their starts. Of an
+        Windows are long enough for motion beyond the noise, and to know their starts; of whole runs
+        a block of samples for each derivative tells it, for the error of a velocity grows. Of an
         unstable plant a whole run says nothing where it misses by much: the error of its start
         grows. Windows in which it stays small are then the long runs.
 
@@ -86,8 +87,10 @@ class Judge:
         count = max(count, min(_RULES.min_window * plant.rows, shortest // 3))
         if 2 * count > shortest:
             return None
-        heads = (min(_RULES.start, count // 3), min(_RULES.start, shortest // _RULES.blocks + 3))
-        judge = cls(records, count * records[0].sample_period, *heads)
+        block = shortest // _RULES.blocks + 3
+        whole_head = min(_RULES.start, plant.rows * block, shortest // 3)
+        head = min(_RULES.start, count // 3)
+        judge = cls(records, count * records[0].sample_period, head, whole_head)
         whole = judged_runs(plant, records, judge.whole_head)
         growth = growth_that_rules(plant, whole, limit=_RULES.misled)
         if growth is None:
@@ -136,16 +139,21 @@ class Judge:
 
         Of as many effects that with the fewest parameters: an end stop imitates an offset. A rare
         effect must be better by as much as decides, times its rarity, than one that may do the
-        same.
+        same; a law that contains a simpler one by as much for each of its further parameters.
         """
 
         def weighed(trial: Judged) -> float:
-            rarity = sum(effect.effect.rarity for effect in trial.placed)
-            return trial.error + _RULES.min_fall * rarity
+            burden = sum(at.effect.rarity + _further_parameters(at) for at in trial.placed)
+            return trial.error + _RULES.min_fall * burden
 
         lowest = min(weighed(trial) for trial in trials)
         as_good = [trial for trial in trials if weighed(trial) < lowest + _RULES.min_fall]
         return min(as_good, key=lambda trial: (len(trial.placed), trial.size, weighed(trial)))
+
+
+def _further_parameters(placed: Placed) -> int:
+    """Parameters of a law beyond the one of a simpler law that it contains; 0 without such."""
+    return len(placed.names) - 1 if placed.effect.contains else 0
 
 
 def _moves(records: Sequence[Record], count: int) -> bool:
@@ -166,6 +174,28 @@ def mean_error(runs: FreeRuns) -> float:
     """Mean logarithm of the normalised errors of all outputs, whole and in windows."""
     sizes = [np.nan_to_num(run.nrmse, nan=np.inf) for run in runs if run is not None]
     return float(np.mean(np.log(np.clip(sizes, np.finfo(float).tiny, _RULES.largest_error))))
+
+
+def error_ratio(trial: Validation, rival: Validation) -> float:
+    """The error of a model over that of another one on the same runs, geometric mean of outputs."""
+    return float(np.exp(mean_error((trial, None)) - mean_error((rival, None))))
+
+
+def least_error_ratio(trial: Validation, rival: Validation) -> float:
+    """What `error_ratio` would be if the model were true.
+
+    The errors E of the other one would then be noise and, independent of that, the difference D of
+    both predictions: √(1 - D²/E²).
+    """
+    squares, counts = np.zeros(len(trial.outputs)), np.zeros(len(trial.outputs))
+    pairs = zip(trial.predictions, rival.predictions, strict=True)
+    for record, (first, second), scored in zip(trial.records, pairs, trial.scored_at, strict=True):
+        counted = record.output_valid & scored[:, None]
+        squares += np.sum(np.where(counted, (first.outputs - second.outputs) ** 2, 0.0), axis=0)
+        counts += np.sum(counted, axis=0)
+    tiny = np.finfo(float).tiny
+    noise = np.clip(1.0 - squares / np.maximum(counts * rival.rmse**2, tiny), tiny, 1.0)
+    return float(np.exp(0.5 * np.mean(np.log(noise))))
 
 
 def noise_level(runs: FreeRuns) -> float:

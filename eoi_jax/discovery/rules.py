@@ -224,7 +224,8 @@ class RefinementRules:
 class JudgeRules:
     """What decides between models; errors are natural logarithms of root mean squares."""
 
-    # Fall of the mean error from which on an effect stays, and below which it is left out again.
+    # Fall of the mean error from which on an effect stays, and below which it is left out again;
+    # for each further parameter of a law that contains a simpler one, and each unit of rarity.
     # Set with the sets of `benchmarks/measured/campaign_cases.py` in view; it was not varied.
     min_fall: float = 0.03
     min_deviations: float = 2.0  # of the paired difference over blocks, in its standard errors
@@ -233,7 +234,9 @@ class JudgeRules:
     # Windows of a record: as many as leave motion in them. Set with car_coast_down in view.
     windows: tuple[int, ...] = (10, 5, 3)
     motion: float = 3.0  # spread of an output in a window over its noise, at least
-    start: int = 50  # samples that give the state of a run, at most; a third of a short run
+    # Samples that give the state of a run, at most; a third of a short run, and of a whole one no
+    # more than a block for each derivative. Set with torsion_rig in view.
+    start: int = 50
     min_window: int = 12  # samples, for each unknown of the start of an output
     # Error of a whole run over the spread, from which on it says nothing of a plant in which errors
     # of a start grow. Set with dfki_simple_pendulum in view.

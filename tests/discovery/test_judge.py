@@ -1,0 +1,201 @@
+"""What decides in free runs: long runs, the start of a run, few parameters; a limited servo."""
+
+from dataclasses import replace
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
+
+import eoi_jax as eoi
+from eoi_jax import effects
+from eoi_jax.discovery import in_free_runs
+from eoi_jax.discovery.free_run_search import long_run_ratio, search_free_runs
+from eoi_jax.discovery.judge import Judge, Judged, error_ratio, least_error_ratio
+from eoi_jax.models.augmented import place
+from eoi_jax.models.placements import placements
+from eoi_jax.refinement.refine import refine_once
+from eoi_jax.simulation.validate import judged_runs
+
+
+def swung(t, x, u, p):
+    del t, u
+    return -p.stiffness * x.y[0] - p.damping * x.y[1]
+
+
+PENDULUM = eoi.Plant(
+    swung, {"stiffness": 40.0, "damping": 0.3}, relative_degree=2, inputs=(), outputs=("angle",),
+    units={"angle": "deg"},
+)  # fmt: skip
+NOISE = 0.5
+
+
+def released(seed, angle, dry, noise=NOISE, count=500, period=0.02):
+    """A pendulum with dry friction swings out, by SciPy; white noise is logged with it."""
+    time = period * np.arange(count)
+
+    def rate(t, x):
+        return [x[1], -40.0 * x[0] - 0.25 * x[1] - dry * np.tanh(x[1] / 0.01)]
+
+    run = solve_ivp(rate, (0.0, time[-1]), [angle, 0.0], t_eval=time, max_step=0.01)
+    noise = noise * np.random.default_rng(seed).standard_normal(count)
+    return eoi.Record(
+        time, np.zeros((count, 0)), run.y[0] + noise, input_names=(), output_names=("angle",),
+        units={"angle": "deg"},
+    )  # fmt: skip
+
+
+def searched(dry, noise=NOISE):
+    records = released(1, 20.0, dry, noise), released(3, 10.0, dry, noise)
+    tried = [effects.CoulombFriction(), effects.QuadraticDrag()]
+    answer = search_free_runs([PENDULUM], [(records, (released(2, 15.0, dry, noise),))], tried)
+    assert answer is not None
+    return answer
+
+
+@pytest.fixture(scope="module")
+def answer():
+    return searched(40.0)
+
+
+def test_long_runs_decide_where_short_ones_miss_by_noise(answer):
+    """Windows of the declared model miss by 1.5 of the noise; whole runs tell."""
+    assert [placed.effect.name for placed in answer.best.placed] == ["coulomb_friction"]
+    assert answer.best.refinement.parameters["coulomb_friction"] == pytest.approx(40.0, rel=0.1)
+    long_runs, windows = zip(answer.best.runs, answer.base.runs, strict=True)
+    assert least_error_ratio(*windows) > 2.0 / 3.0
+    assert np.exp(answer.best.error - answer.base.error) > 2.0 / 3.0
+    assert error_ratio(*long_runs) <= long_run_ratio(answer) < 2.0 / 3.0
+
+
+@pytest.mark.parametrize(("long_ratio", "effects_named"), [(0.6, ("coulomb_friction",)), (0.7, ())])
+def test_the_answer_says_that_long_runs_decided(monkeypatch, answer, long_ratio, effects_named):
+    monkeypatch.setattr(in_free_runs, "long_run_ratio", lambda answer: long_ratio)
+    monkeypatch.setattr(in_free_runs, "exchanged_ratio", lambda answer: np.inf)
+    record = released(1, 20.0, 0.0)
+    found = eoi.discover(PENDULUM, record, released(2, 15.0, 0.0), ["coulomb_friction"])
+    judged = in_free_runs.answered(found, answer, None)
+    assert judged.effects == effects_named
+    notes = [note for note in judged.notes if note.startswith("in short runs the predictions")]
+    assert len(notes) == len(effects_named)
+
+
+def test_long_runs_do_not_decide_alone_where_short_ones_tell():
+    assert long_run_ratio(searched(40.0, 0.2)) == np.inf
+
+
+def test_without_friction_nothing_is_added_to_such_records():
+    found = searched(0.0)
+    assert not found.best.placed
+    assert long_run_ratio(found) == 1.0
+
+
+def test_what_an_error_falls_to_if_the_other_model_is_true():
+    """Errors of a biased model are noise and a difference: without it they are the noise."""
+    record = released(2, 15.0, 0.0)
+    exact = PENDULUM.with_parameters({"stiffness": 40.0, "damping": 0.25})
+    biased = exact.with_parameters({"damping": 0.35})
+    runs = [judged_runs(plant, (record,), 50) for plant in (exact, biased)]
+    assert error_ratio(*runs) < 0.8
+    assert least_error_ratio(*runs) == pytest.approx(error_ratio(*runs), abs=0.05)
+    assert least_error_ratio(runs[1], runs[1]) == 1.0
+
+
+# -- the start of a run -----------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(("count", "head"), [(48, 14), (120, 30), (400, 50)])
+def test_so_many_samples_tell_position_and_velocity_at_the_start_of_a_run(count, head):
+    """What an error of the velocity grows to would hide the effects: a tenth and three for each."""
+    random = np.random.default_rng(0)
+    time = 0.01 * np.arange(count)
+    angle = np.sin(9.0 * time) + 1e-3 * random.standard_normal(count)
+    record = eoi.Record(time, np.zeros((count, 0)), angle, input_names=(), output_names=("angle",))
+    judge = Judge.of((record,), PENDULUM)
+    assert judge is not None
+    assert judge.whole_head == head
+
+
+# -- few parameters ---------------------------------------------------------------------------
+
+
+def trial(effect, error):
+    """A model whose errors have this mean logarithm."""
+    record = (released(2, 15.0, 0.0),)
+    runs = judged_runs(PENDULUM, record, 20)
+    fit = refine_once(PENDULUM, record, None)
+    judged = Judged(fit, (place(PENDULUM, effect, 0),), (runs, None))
+    return replace(judged, runs=(replace(runs, nrmse=np.exp([error])), None))
+
+
+@pytest.mark.parametrize(("fall", "chosen"), [(0.05, "coulomb_friction"),
+                                              (0.07, "stribeck_friction")])  # fmt: skip
+def test_a_wider_law_is_better_by_so_much_for_each_further_parameter(fall, chosen):
+    """Stribeck friction has two more than Coulomb friction; each must lower errors by 0.03."""
+    trials = [
+        trial(effects.CoulombFriction(), -5.0),
+        trial(effects.StribeckFriction(), -5.0 - fall),
+    ]
+    plainest = Judge((released(2, 15.0, 0.0),), 0.1, 4, 8).plainest(trials)
+    assert plainest.placed[0].effect.name == chosen
+
+
+# -- a servo whose drive saturates ------------------------------------------------------------
+
+
+def followed(t, x, u, p):
+    return p.stiffness * (u - x.y[0]) - p.damping * x.y[1]
+
+
+SERVO = eoi.Plant(
+    followed, {"stiffness": 20.0, "damping": 6.0}, relative_degree=2, inputs=("command",),
+    outputs=("angle",), units={"command": "deg", "angle": "deg"},
+)  # fmt: skip
+STIFFNESS, DAMPING, LIMIT = 36.0, 8.2, 30.0
+
+
+def followed_levels(seed, limit=LIMIT, count=900, period=0.015):
+    """Random levels of a command, by SciPy; whole degrees are logged."""
+    random = np.random.default_rng(seed)
+    time = period * np.arange(count)
+    command = np.repeat(random.uniform(0.0, 170.0, count // 90), 90)
+
+    def rate(t, x):
+        error = command[min(int(t / period), count - 1)] - x[0]
+        return [x[1], STIFFNESS * np.clip(error, -limit, limit) - DAMPING * x[1]]
+
+    run = solve_ivp(rate, (0.0, time[-1]), [command[0], 0.0], t_eval=time, max_step=period)
+    return eoi.Record(
+        time, command, np.round(run.y[0]), hold="zero", input_names=("command",),
+        output_names=("angle",), units={"command": "deg", "angle": "deg"},
+    )  # fmt: skip
+
+
+@pytest.mark.slow
+def test_a_limited_control_error_of_a_servo_is_found_with_its_limit():
+    found = eoi.discover(SERVO, followed_levels(1), followed_levels(2))
+    assert found.effects == ("error_saturation",)
+    values = found.plant.parameters
+    assert values["error_saturation"] == pytest.approx(LIMIT, rel=0.05)
+    assert values["stiffness"] == pytest.approx(STIFFNESS, rel=0.05)
+
+
+def test_a_servo_that_is_not_limited_gets_no_limit():
+    tried = [effects.ErrorSaturation(), effects.InputSaturation()]
+    pair = (followed_levels(1, np.inf),), (followed_levels(2, np.inf),)
+    answer = search_free_runs([SERVO], [pair], tried)
+    assert answer is not None
+    assert not answer.best.placed
+
+
+def test_a_control_error_needs_an_input_in_the_unit_of_the_output():
+    law = effects.ErrorSaturation()
+    assert [placed.names for placed in placements(SERVO, [law])] == [("error_saturation",)]
+    assert not placements(PENDULUM, [law])
+    unknown = eoi.Plant(
+        followed, dict(SERVO.parameters), relative_degree=2, inputs=("command",),
+        outputs=("angle",),
+    )  # fmt: skip
+    assert not placements(unknown, [law])
+    at = effects.At(*jnp.asarray([0.0, 10.0, 0.0, 50.0]), z=None)
+    assert float(law.changed(at, [30.0])) == 40.0
