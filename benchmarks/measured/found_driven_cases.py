@@ -1,7 +1,7 @@
 """Eight public measured sets of driven and swinging rigs, fitted by hand before discovery saw them.
 
 As `found_cases`, but windows are few a record, or none. Four of the eight are set aside, drawn by
-`random.Random(20261129).sample(sorted(DRIVEN), 4)`.
+`random.Random(20261129).sample(sorted(DRIVEN), 4)`; ev3_motor and spin_down were looked at later.
 """
 
 from collections.abc import Mapping
@@ -198,7 +198,6 @@ DRIVEN: Mapping[str, FoundSet] = {
     "ev3_motor": FoundSet(
         ev3_motor,
         "1_course/VPD/2/LABS/lab1/data*.csv, every 10 ms, of https://github.com/decadeos/ITMO",
-        aside=True,
     ),
     "rc_servo": FoundSet(
         rc_servo,
@@ -224,6 +223,5 @@ DRIVEN: Mapping[str, FoundSet] = {
         spin_down,
         "src/python/data/friction-tests/vertical-friction-1.csv of "
         "https://github.com/mgiglia92/reaction-wheel",
-        aside=True,
     ),
 }
