@@ -91,9 +91,9 @@ def with_curves(
     best = _with_best_curve(search, named, discovery.status.code == "complete")
     if best is named:
         return discovery
-    best = search.settled(search.leanest(best))
-    found = answered(discovery, search.answer(best, declared.plant), lowpass)
-    notes = dict.fromkeys((*found.notes, *_nearest_laws(best)))
+    answer = search.answer(search.settled(search.leanest(best)), declared.plant)
+    found = answered(discovery, answer, lowpass)
+    notes = dict.fromkeys((*found.notes, *_nearest_laws(answer.final)))
     return replace(found, ambiguous_with=(), advice="", notes=tuple(notes))
 
 

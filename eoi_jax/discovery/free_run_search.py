@@ -15,13 +15,15 @@ parameters are biased hides right effects from both. The search:
    candidate stays where their mean logarithm falls enough, and the paired difference over blocks of
    these records exceeds its own standard error by enough. Then from 2, until none does.
 5. What can be left out again without a larger error is left out; of the ways in which the records
-   may have been made that with the smallest errors of the answer is taken.
+   may have been made that with the smallest errors of the answer is taken, and of its fits over
+   long and over short runs that with the smallest ones on all records.
 
 Disturbances in time are not tried: they stand in for what the library lacks.
 """
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 
@@ -61,8 +63,10 @@ class FreeRunAnswer:
 
     Attributes:
         base: the declared model, refined.
-        best: the model with the effects that stayed; the base where none did.
-        records, judging: the variant of the records that predicts best.
+        fits: of the model with the effects that stayed, over long and over short runs, what
+            predicts best first; the base where no effect did.
+        records: of the fit, in the variant that predicts best.
+        judge: on the others.
         share: of the samples, in which effects were searched.
         rounds: of the search.
         better_base: whether it predicts otherwise than before it was refined, and not worse by more
@@ -70,12 +74,35 @@ class FreeRunAnswer:
     """
 
     base: Judged
-    best: Judged
+    fits: tuple[Judged, ...]
     records: tuple[Record, ...]
-    judging: tuple[Record, ...]
+    judge: Judge
     better_base: bool
     share: float
     rounds: tuple[Contest, ...] = ()
+
+    @property
+    def judging(self) -> tuple[Record, ...]:
+        """Records that no fit has seen."""
+        return self.judge.records
+
+    @property
+    def best(self) -> Judged:
+        """The model with the effects that stayed, which is judged; the base where none did."""
+        return self.fits[0]
+
+    @cached_property
+    def final(self) -> Judged:
+        """Of the fits of that model the one that predicts all records best.
+
+        Between fits of the same parameters the records of the fit tell as much as the few that
+        judge; none is taken that predicts these worse than the base.
+        """
+        judge = replace(self.judge, records=(*self.records, *self.judging))
+        fits = [fit for fit in self.fits[1:] if fit.error < self.base.error]
+        if not fits:
+            return self.best
+        return min([self.best, *fits], key=lambda fit: mean_error(judge.runs(fit.refinement.plant)))
 
 
 def search_free_runs(
@@ -139,10 +166,10 @@ def search_free_runs(
         rounds.append(Contest(best, chosen, tuple(trials)))
         best = chosen
     search, best = _made_best(searches, search, search.leanest(best))
-    best = search.settled(best)
-    if rival is not None and search.judge.prefers(search.judge.runs(rival), best.runs):
+    fits = search.settled(best)
+    if rival is not None and search.judge.prefers(search.judge.runs(rival), fits[0].runs):
         return None
-    return replace(search.answer(best, starts[0]), rounds=tuple(rounds))
+    return replace(search.answer(fits, starts[0]), rounds=tuple(rounds))
 
 
 @dataclass(frozen=True)
@@ -194,13 +221,13 @@ class Search:
             return False
         return not returns(self.base.refinement.plant, self.judge.records)
 
-    def answer(self, best: Judged, start: Plant) -> FreeRunAnswer:
-        """What the search came to, from this declared model."""
-        base = self.base if self.searched is self.records else self.settled(self.base)
-        best = best if self.further(best) else base
+    def answer(self, fits: Sequence[Judged], start: Plant) -> FreeRunAnswer:
+        """What the search came to, with these fits of its model, from this declared model."""
+        base = self.base if self.searched is self.records else self.settled(self.base)[0]
+        fits = tuple(fits) if self.further(fits[0]) else (base,)
         better = self._predicts_better(base, start)
         share = _count(self.searched) / _count(self.records)
-        return FreeRunAnswer(base, best, self.records, self.judge.records, better, share)
+        return FreeRunAnswer(base, fits, self.records, self.judge, better, share)
 
     def _predicts_better(self, base: Judged, start: Plant) -> bool:
         """Whether the refined model predicts otherwise than that of the passes, and no worse.
@@ -308,10 +335,11 @@ class Search:
             return best
         return self.leanest(min(leaner, key=lambda fit: (fit.size, fit.error)))
 
-    def settled(self, best: Judged) -> Judged:
-        """The model refined over both lengths of runs: what predicts better."""
-        trial = refined(best.refinement.plant, best.placed, self.records, self.judge)
-        return best if trial is None or trial.error > best.error else trial
+    def settled(self, best: Judged) -> list[Judged]:
+        """The model, and it refined over both lengths of runs; what predicts better first."""
+        fits = _over_both(best.refinement.plant, best.placed, self.records, self.judge)
+        done = [fit for fit in fits if fit.refinement.status.ok]
+        return sorted([best, *done], key=lambda fit: fit.error)
 
 
 def exchanged_ratio(answer: FreeRunAnswer) -> float:

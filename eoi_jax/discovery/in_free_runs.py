@@ -223,6 +223,7 @@ def with_further_effects(
     if confirms and any(isinstance(at.effect, Product) for at in further):
         # It names no cause, and would take its share of those that are named.
         hints = [_HINT.format(" and ".join(_signals_of(plant, at) for at in further), ratio)]
+    model = answer.final
     if hints or not confirms:
         answer = answers[0]
         model, further = answer.base, ()
@@ -277,7 +278,8 @@ def answered(discovery: Discovery, answer: FreeRunAnswer, lowpass: LowPass | Non
         confirms = exchanged < 1.0 and np.sqrt(ratio * exchanged) < RULES.answer.confirmed
         notes = [FitNote(_EXCHANGED.format(exchanged))]
     if best.placed and confirms and not _imitates(discovery, best):
-        names = labels_of(best.placed)
+        names, best = labels_of(best.placed), answer.final
+        ratio = float(np.exp(best.error - base.error))
         left = beyond_noise(best.runs[1], answer.judging)
         code, text = ("partial", _PARTIAL) if left else ("complete", _COMPLETE)
         found = replace(discovery, status=Status(code, text.format(names, ratio)), lead=None)

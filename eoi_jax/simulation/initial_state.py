@@ -2,10 +2,11 @@
 
 Outputs and their derivatives start from local polynomials, or where the plant knows them; internal
 states from where the model declares them, or in a window from where a run along the whole record
-has them: a few samples say little of a slow store that is not measured. Delays and lags of inputs
-start as if these had always been at their first values. Gauss-Newton with halved steps
-(`simulation/gauss_newton.py`) goes on from there; the derivatives of the errors are differences,
-for one of the simulation would take longer to compile than all else.
+has them: a few samples say little of a slow store that is not measured (`planned_runs.py` decides
+where they count). Delays and lags of inputs start as if these had always been at their first
+values. Gauss-Newton with halved steps (`simulation/gauss_newton.py`) goes on from there; the
+derivatives of the errors are differences, for one of the simulation would take longer to compile
+than all else.
 All runs are simulated side by side.
 """
 
@@ -61,7 +62,6 @@ def initial_states(
     valid: Bool[np.ndarray, "runs time ny"],
     past: Float[np.ndarray, "runs steps 3 nu past"] | None = None,
     begins: Bool[np.ndarray, " runs"] | None = None,
-    carried: State | None = None,
 ) -> Starts:
     """Least squares of each free run over its first samples, by Gauss-Newton.
 
@@ -74,13 +74,38 @@ def initial_states(
             a plant with delays or lags of inputs.
         begins: which runs begin with their record: known starts of the plant hold there. None: no
             run does.
-        carried: states that a run along the whole record has at each start. A run begins there with
-            its internal states, unless its first samples tell otherwise; not finite ones do not
-            count.
 
     Returns:
         Outputs and their derivatives, then z, then the levels before the record, less the first
         values of the inputs.
+    """
+    return window_starts(run, heads, y, valid, past, begins, None)[0]
+
+
+def window_starts(
+    run: Run,
+    heads: Drive,
+    y: Float[np.ndarray, "runs time ny"],
+    valid: Bool[np.ndarray, "runs time ny"],
+    past: Float[np.ndarray, "runs steps 3 nu past"] | None,
+    begins: Bool[np.ndarray, " runs"] | None,
+    carried: State | None,
+) -> tuple[Starts, Starts]:
+    """Initial states as the first samples of each run tell them, and as a longer run has them.
+
+    Args:
+        run: as of `initial_states`, like the next five.
+        heads: what drives the first samples.
+        y: outputs there.
+        valid: which of them were measured.
+        past: how the inputs there change with their levels before the record.
+        begins: which runs begin with their record.
+        carried: states that a run along the whole record has at each start; not finite ones do not
+            count. None: there is no such run.
+
+    Returns:
+        Values as of `initial_states`: with the internal states of the longer run unless the first
+        samples tell otherwise; with these whatever the first samples tell.
     """
     period = float(heads.step[0]) * heads.substeps
     z = run.plant.initial_internal
@@ -106,7 +131,7 @@ def initial_states(
     first_samples = _Heads(run, heads, y, valid, period, spread, past, fixed)
     cost, values = _descend(first_samples, starts, measured)
     if not np.any(run.plant.open_internal) and past is None:
-        return values
+        return values, values
     return _with_internal(first_samples, _Fit(cost, values), starts, measured, carried)
 
 
@@ -123,7 +148,7 @@ def _with_internal(
     starts: Trials,
     measured: Bool[np.ndarray, " unknowns"],
     carried: State | None,
-) -> Starts:
+) -> tuple[Starts, Starts]:
     """Initial values with those of internal states, and with levels before the record.
 
     Internal states are where the model starts them, or where a run along the record has them, and
@@ -135,7 +160,10 @@ def _with_internal(
         fit: with internal states where the model starts them.
         starts: of that fit.
         measured: which unknowns are outputs and their derivatives.
-        carried: as of `initial_states`.
+        carried: as of `window_starts`.
+
+    Returns:
+        As of `window_starts`.
     """
     from scipy.special import fdtri  # only plants with internal states need it
 
@@ -149,6 +177,7 @@ def _with_internal(
     rest = np.maximum(np.sum(heads.valid, axis=(1, 2)) - first - unknown, 1)
     told = 1.0 / (1.0 + unknown * fdtri(unknown, rest, 1.0 - _SETTINGS.level) / rest)
     cost, values = fit
+    going_on = values
     if carried is not None:
         moved, plant = np.array(starts), heads.run.plant
         # A difference from an output changes with the output, which starts as measured.
@@ -158,13 +187,16 @@ def _with_internal(
         usable = opened[internal] & np.all(np.isfinite(z), axis=1, keepdims=True)
         moved[..., internal] = np.where(usable[:, None], z[:, None], moved[..., internal])
         carried_fit = _Fit(*_descend(heads, moved, measured))
+        follows = np.isfinite(carried_fit.cost) & np.any(usable, axis=1)
+        going_on = np.where(follows[:, None], carried_fit.values, values)
         goes_on = told * carried_fit.cost <= cost
         cost = np.where(goes_on, carried_fit.cost, cost)
         values = np.where(goes_on[:, None], carried_fit.values, values)
     free = measured | opened
     free[internal.stop :] = True
     freed_cost, freed_values = _descend(heads, values[:, None], free)
-    return np.where((freed_cost < told * cost)[:, None], freed_values, values)
+    begun = np.where((freed_cost < told * cost)[:, None], freed_values, values)
+    return begun, begun if carried is None else going_on
 
 
 class _Start(NamedTuple):

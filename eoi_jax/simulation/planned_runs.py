@@ -1,4 +1,10 @@
-"""The free runs of a plan, each from its own initial state."""
+"""The free runs of a plan, each from its own initial state.
+
+The first samples of a window tell the state of a store that is not measured, or a run along the
+whole record does: the first ones where something unknown moved it, the long run where errors of the
+model are slow, for then few samples fit almost any state. Which of both holds in a window, the
+other windows of the record decide: that with which they are predicted better.
+"""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -11,7 +17,14 @@ from eoi_jax.data.windows import Plan
 from eoi_jax.models.plant import State
 from eoi_jax.simulation.chained_runs import outputs_of, states_along
 from eoi_jax.simulation.contradicted_start import contradicted_start
-from eoi_jax.simulation.initial_state import Run, Starts, initial_states, states_of, with_past
+from eoi_jax.simulation.initial_state import (
+    Run,
+    Starts,
+    initial_states,
+    states_of,
+    window_starts,
+    with_past,
+)
 from eoi_jax.simulation.integrator import Drive
 
 
@@ -42,12 +55,11 @@ def planned_runs(
     heads = along.heads(runs.starts, runs.head)
     if values is None:
         carried = _carried(run, along, runs, begins)
-        values = initial_states(run, *heads, begins, carried)
+        told, going_on = window_starts(run, *heads, begins, carried)
+        values = _chosen(run, along, runs, told, going_on)
     declared = values if past is None else None  # without levels before the record
     notes = contradicted_start(run, *heads[:3], declared, begins, record.name)
-    drives = along.drives(runs.starts, runs.steps, values)
-    outputs = outputs_of(run.plant, drives, states_of(run.plant, values), run.friction)
-    return outputs, values, notes
+    return _outputs(run, along, runs, values), values, notes
 
 
 @dataclass(frozen=True)
@@ -73,6 +85,40 @@ class _Along:
 
     def _past(self, starts: Sequence[int], steps: int) -> np.ndarray | None:
         return None if self.past is None else self.past[_steps(self.drive, starts, steps)]
+
+
+def _outputs(
+    run: Run, along: _Along, runs: Plan, values: Starts
+) -> Float[np.ndarray, "runs time ny"]:
+    drives = along.drives(runs.starts, runs.steps, values)
+    return outputs_of(run.plant, drives, states_of(run.plant, values), run.friction)
+
+
+def _chosen(run: Run, along: _Along, runs: Plan, told: Starts, going_on: Starts) -> Starts:
+    """For each window the starts with which the other windows of the record are predicted better.
+
+    So no window has a part in how it is started itself.
+    """
+    if len(runs.starts) < 2 or np.array_equal(told, going_on, equal_nan=True):
+        return told
+    errors = [_errors(run, along, runs, values) for values in (told, going_on)]
+    told_others, others = (np.sum(e, axis=0) - e for e in errors)
+    return np.where((others < told_others)[:, None], going_on, told)
+
+
+def _errors(run: Run, along: _Along, runs: Plan, values: Starts) -> Float[np.ndarray, " runs"]:
+    """Squared errors of runs behind their first samples, of each output by its own spread."""
+    outputs, record = _outputs(run, along, runs, values), along.record
+    spread = np.std(record.outputs, axis=0)
+    sums = []
+    for start, samples, y_hat in zip(runs.starts, runs.predicted, outputs, strict=True):
+        part = slice(max(samples.start, start + runs.head), samples.stop)
+        counts = record.output_valid[part]
+        with np.errstate(over="ignore", invalid="ignore"):
+            error = record.outputs[part] - y_hat[part.start - start : part.stop - start]
+            sums.append(np.sum(np.where(counts, error / np.where(spread > 0, spread, 1.0), 0) ** 2))
+    largest = np.sqrt(np.finfo(float).max)  # of runs that diverge; sums of it stay finite
+    return np.nan_to_num(np.asarray(sums), nan=largest, posinf=largest).clip(max=largest)
 
 
 def _carried(
