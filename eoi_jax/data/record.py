@@ -590,6 +590,9 @@ class Record(Result):
     def noise(self) -> Float[np.ndarray, " ny"]:
         """Standard deviation of the white measurement noise of each output, from its differences.
 
+        Where the motion is fast beside the sampling it is an upper bound: free runs of a model show
+        a smaller one (`simulation/sensor_noise.py`), which is what `discover` judges by.
+
         It includes quantisation. The differences do not show the quantisation of a signal that is
         constant between coarse steps, so the noise is at least quantum/√12. For an interpolated or
         sub-stepped record it is the noise of the measured samples; for a smoothed record, the part

@@ -7,6 +7,7 @@ from jaxtyping import Float
 
 from eoi_jax.data.record import Record
 from eoi_jax.discovery.rules import RULES
+from eoi_jax.simulation.sensor_noise import sensor_noise
 from eoi_jax.simulation.validate import FreeRuns, Validation
 
 _RULES = RULES.answer
@@ -56,7 +57,7 @@ def beyond_noise(short: Validation | None, records: Sequence[Record]) -> list[st
     """
     if short is None:
         return []
-    noise = np.max([record.noise for record in records], axis=0)
+    noise = sensor_noise(short)
     return [
         _DOUBT.format(name, error / sigma)
         for name, error, sigma in zip(records[0].output_names, short.rmse, noise, strict=True)

@@ -338,8 +338,8 @@ class Search:
     def settled(self, best: Judged) -> list[Judged]:
         """The model, and it refined over both lengths of runs; what predicts better first."""
         fits = _over_both(best.refinement.plant, best.placed, self.records, self.judge)
-        done = [fit for fit in fits if fit.refinement.status.ok]
-        return sorted([best, *done], key=lambda fit: fit.error)
+        ended = [fit for fit in fits if fit.refinement.status.ok]
+        return sorted([best, *ended], key=lambda fit: fit.error)
 
 
 def exchanged_ratio(answer: FreeRunAnswer) -> float:

@@ -50,6 +50,7 @@ from eoi_jax.models.effects import (
 )
 from eoi_jax.models.effects.effect import AbstractEffect
 from eoi_jax.models.plant import Plant
+from eoi_jax.simulation.sensor_noise import sensor_noise
 from eoi_jax.simulation.validate import whole_and_windows
 
 _RULES = RULES.questions
@@ -143,7 +144,7 @@ def leaves_more(discovery: Discovery) -> bool:
     if any(isinstance(addition.effect, final) for addition in discovery.added):
         return False
     # An error below what was taken for noise: that was fast motion, and tells nothing.
-    noise = np.max([record.noise for record in discovery.held_out], axis=0)
+    noise = sensor_noise(runs)
     motion = np.any((runs.rmse < _RULES.motion * noise) & (runs.nrmse > _RULES.small))
     return bool(motion) or bool(beyond_noise(runs, discovery.held_out))
 

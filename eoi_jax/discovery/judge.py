@@ -18,6 +18,7 @@ from eoi_jax.models.augmented import Placed
 from eoi_jax.models.plant import Plant
 from eoi_jax.refinement.result import Refinement
 from eoi_jax.simulation.error_growth import window_head
+from eoi_jax.simulation.sensor_noise import sensor_noise
 from eoi_jax.simulation.validate import FreeRuns, Validation, growth_that_rules, judged_runs
 
 _RULES = RULES.judge
@@ -80,18 +81,19 @@ class Judge:
             plant: the declared model, fitted.
         """
         shortest = min(len(record) for record in records)
-        if shortest < 2 * _RULES.min_window:
-            return None
-        moving = [parts for parts in _RULES.windows if _moves(records, shortest // parts)]
-        count = max(shortest // max(moving, default=min(_RULES.windows)), _RULES.min_window)
-        count = max(count, min(_RULES.min_window * plant.rows, shortest // 3))
-        if 2 * count > shortest:
+        fewest = max(_RULES.min_window, min(_RULES.min_window * plant.rows, shortest // 3))
+        if 2 * fewest > shortest:
             return None
         block = shortest // _RULES.blocks + 3
         whole_head = min(_RULES.start, plant.rows * block, shortest // 3)
+        whole = judged_runs(plant, records, whole_head)
+        noise = sensor_noise(whole)
+        moving = [parts for parts in _RULES.windows if _moves(records, shortest // parts, noise)]
+        count = max(shortest // max(moving, default=min(_RULES.windows)), fewest)
+        if 2 * count > shortest:
+            return None
         head = min(_RULES.start, count // 3)
         judge = cls(records, count * records[0].sample_period, head, whole_head)
-        whole = judged_runs(plant, records, judge.whole_head)
         growth = growth_that_rules(plant, whole, limit=_RULES.misled)
         if growth is None:
             return judge
@@ -156,7 +158,7 @@ def _further_parameters(placed: Placed) -> int:
     return len(placed.names) - 1 if placed.effect.contains else 0
 
 
-def _moves(records: Sequence[Record], count: int) -> bool:
+def _moves(records: Sequence[Record], count: int, noise: Float[np.ndarray, " ny"]) -> bool:
     """Whether outputs move by more than their noise in windows of so many samples."""
     for record in records:
         outputs = np.where(record.output_valid, record.outputs, np.nan)
@@ -165,7 +167,7 @@ def _moves(records: Sequence[Record], count: int) -> bool:
         if not measured:
             return False
         spread = np.sqrt(np.mean([np.nanvar(part, axis=0) for part in measured], axis=0))
-        if np.any(spread < _RULES.motion * record.noise):
+        if np.any(spread < _RULES.motion * noise):
             return False
     return True
 
@@ -203,7 +205,7 @@ def noise_level(runs: FreeRuns) -> float:
     levels = []
     for run in runs:
         if run is not None:
-            noise = np.max([record.noise for record in run.records], axis=0)
+            noise = sensor_noise(run)
             measured = np.isfinite(run.rmse) & (run.rmse > 0.0)
             levels.append(
                 noise * np.divide(run.nrmse, run.rmse, np.zeros(noise.shape), where=measured)

@@ -25,6 +25,7 @@ from eoi_jax.report.tables import (
     validation_rows,
 )
 from eoi_jax.report.time_series import TimeSeries, time_series_figure
+from eoi_jax.simulation.sensor_noise import sensor_noise
 from eoi_jax.simulation.validate import Validation
 from eoi_jax.uncertainty.uncertainty import Uncertainty, uncertainty
 
@@ -273,17 +274,15 @@ def _error_over_noise(
     in_sample: bool = False,
     smallest: float = 1e-9,
     largest: float = 1e4,
-    least: float = 0.7,
 ) -> str:
     """The largest ratio of a free-run error to the noise of its sensor, in words.
 
     Noise below `smallest` of the signal is that of rounding, not of a sensor; above `largest` the
-    number tells nothing more. No error is less than the noise: below `least` the estimate of the
-    noise, an upper bound where a signal moves from sample to sample, is refuted.
+    number tells nothing more. No error is less than the noise, which the run bounds.
     """
     if run is None or not run.records or not np.all(np.isfinite(run.rmse)):
         return ""
-    noise = np.max([record.noise for record in run.records], axis=0)
+    noise = sensor_noise(run)
     spread = run.rmse / np.maximum(run.nrmse, 1e-300)
     if not np.all(noise > smallest * spread):
         return ""
@@ -292,8 +291,6 @@ def _error_over_noise(
     if ratio > largest:
         number = f"more than {largest:.0f}"
     data = "in-sample" if in_sample else "held-out"
-    if ratio < least:
-        return f"{data} error below the noise that differences of the samples show"
     return f"{data} error {number} × sensor noise"
 
 

@@ -51,15 +51,15 @@ def planned_runs(
     """
     if not runs.starts:
         return np.zeros((0, runs.steps + 1, record.outputs.shape[1])), np.zeros((0, 0)), []
-    along = _Along(record, record_drive, past)
-    heads = along.heads(runs.starts, runs.head)
+    course = _Along(record, record_drive, past)
+    heads = course.heads(runs.starts, runs.head)
     if values is None:
-        carried = _carried(run, along, runs, begins)
-        told, going_on = window_starts(run, *heads, begins, carried)
-        values = _chosen(run, along, runs, told, going_on)
+        carried = _carried(run, course, runs, begins)
+        head_starts, record_starts = window_starts(run, *heads, begins, carried)
+        values = _chosen(run, course, runs, head_starts, record_starts)
     declared = values if past is None else None  # without levels before the record
     notes = contradicted_start(run, *heads[:3], declared, begins, record.name)
-    return _outputs(run, along, runs, values), values, notes
+    return _outputs(run, course, runs, values), values, notes
 
 
 @dataclass(frozen=True)
@@ -88,27 +88,29 @@ class _Along:
 
 
 def _outputs(
-    run: Run, along: _Along, runs: Plan, values: Starts
+    run: Run, course: _Along, runs: Plan, values: Starts
 ) -> Float[np.ndarray, "runs time ny"]:
-    drives = along.drives(runs.starts, runs.steps, values)
+    drives = course.drives(runs.starts, runs.steps, values)
     return outputs_of(run.plant, drives, states_of(run.plant, values), run.friction)
 
 
-def _chosen(run: Run, along: _Along, runs: Plan, told: Starts, going_on: Starts) -> Starts:
+def _chosen(
+    run: Run, course: _Along, runs: Plan, head_starts: Starts, record_starts: Starts
+) -> Starts:
     """For each window the starts with which the other windows of the record are predicted better.
 
     So no window has a part in how it is started itself.
     """
-    if len(runs.starts) < 2 or np.array_equal(told, going_on, equal_nan=True):
-        return told
-    errors = [_errors(run, along, runs, values) for values in (told, going_on)]
-    told_others, others = (np.sum(e, axis=0) - e for e in errors)
-    return np.where((others < told_others)[:, None], going_on, told)
+    if len(runs.starts) < 2 or np.array_equal(head_starts, record_starts, equal_nan=True):
+        return head_starts
+    errors = [_errors(run, course, runs, values) for values in (head_starts, record_starts)]
+    head_error, record_error = (np.sum(e, axis=0) - e for e in errors)
+    return np.where((record_error < head_error)[:, None], record_starts, head_starts)
 
 
-def _errors(run: Run, along: _Along, runs: Plan, values: Starts) -> Float[np.ndarray, " runs"]:
+def _errors(run: Run, course: _Along, runs: Plan, values: Starts) -> Float[np.ndarray, " runs"]:
     """Squared errors of runs behind their first samples, of each output by its own spread."""
-    outputs, record = _outputs(run, along, runs, values), along.record
+    outputs, record = _outputs(run, course, runs, values), course.record
     spread = np.std(record.outputs, axis=0)
     sums = []
     for start, samples, y_hat in zip(runs.starts, runs.predicted, outputs, strict=True):
@@ -122,7 +124,7 @@ def _errors(run: Run, along: _Along, runs: Plan, values: Starts) -> Float[np.nda
 
 
 def _carried(
-    run: Run, along: _Along, runs: Plan, begins: Bool[np.ndarray, " runs"]
+    run: Run, course: _Along, runs: Plan, begins: Bool[np.ndarray, " runs"]
 ) -> State | None:
     """States where the runs start, of a single run along the record.
 
@@ -132,8 +134,8 @@ def _carried(
     if len(runs.starts) < 2 or not np.any(run.plant.open_internal):
         return None
     first = runs.starts[:1]
-    values = initial_states(run, *along.heads(first, runs.steps + 1), begins[:1])
-    drives = along.drives(first, runs.starts[-1] - first[0], values)
+    values = initial_states(run, *course.heads(first, runs.steps + 1), begins[:1])
+    drives = course.drives(first, runs.starts[-1] - first[0], values)
     x = states_along(run.plant, drives, states_of(run.plant, values), run.friction)
     steps = run.substeps * (np.asarray(runs.starts) - first[0])
     return State(x.y[0, steps], x.z[0, steps])
