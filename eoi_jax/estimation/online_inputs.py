@@ -19,6 +19,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
+from eoi_jax._checks import check
 from eoi_jax.models.augmented import actuator_effects
 from eoi_jax.models.effects.effect import AbstractActuator
 from eoi_jax.models.plant import Plant, keeps_steps
@@ -115,6 +116,8 @@ class DrivenInputs(eqx.Module):
         for placed in actuator_effects(plant, rule):
             effect = placed.effect
             assert isinstance(effect, AbstractActuator)
+            single = "must act on one input alone to run sample by sample"
+            check(placed.through is None, f"effect {effect.name}", single, "one with a driver")
             shapes = tuple(plant.names.index(name) for name in placed.names)
             upstream = reached[placed.channel]
             directions = np.flatnonzero(np.any(columns[list(shapes)], axis=0)).tolist()

@@ -49,7 +49,8 @@ class Placed:
         against: for an effect between two outputs, index of the output from which the displacement
             is measured; None for the displacement of a single output.
         through: index of the input whose path the effect shares as a force, on all outputs that
-            the input pushes; None if the effect adds to y^(r) of its output only.
+            the input pushes; None if the effect adds to y^(r) of its output only. Of an effect on
+            an input with a driver, the index of that.
         streams: of copies in series, indices of the inputs that carry the stream.
     """
 
@@ -80,6 +81,11 @@ class Placed:
     def site(self) -> tuple[AbstractEffect, int, int | None, int | None]:
         """Effect and place, without the names of the parameters."""
         return self.effect, self.channel, self.against, self.through
+
+    def drives(self, u: Any) -> Any:
+        """The input that it acts on, from all inputs (last axis); with its driver two columns."""
+        places = self.channel if self.through is None else np.array([self.channel, self.through])
+        return u[..., places]
 
     def coordinate(self, y: Any) -> Any:
         """The displacement for the effect, from the outputs (last axis) or their derivatives."""
@@ -476,9 +482,7 @@ class _Actuator:
             if isinstance(placement.effect, AbstractActuator):
                 shape = np.array([[values[name] for name in placement.names]])
                 u = np.array(u)
-                u[:, placement.channel] = placement.effect.sampled(
-                    t, u[:, placement.channel], shape
-                )[0]
+                u[:, placement.channel] = placement.effect.sampled(t, placement.drives(u), shape)[0]
         return u if self.base is None else self.base.sampled(t, u, values)
 
     def __call__(self, t: Any, u: Any, p: Any) -> Any:
@@ -486,7 +490,7 @@ class _Actuator:
             if isinstance(placement.effect, AbstractActuator):
                 _, shape = split_parameters(placement, p)
                 u = u.at[:, placement.channel].set(
-                    placement.effect.along(t, u[:, placement.channel], shape)
+                    placement.effect.along(t, placement.drives(u), shape)
                 )
         return u if self.base is None else self.base(t, u, _declared_parameters(self.names, p))
 

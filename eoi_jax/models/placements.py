@@ -9,6 +9,7 @@ from jaxtyping import Bool
 from eoi_jax.models.augmented import Placed, own_states, place
 from eoi_jax.models.effects.effect import (
     INPUT_EFFECTS,
+    AbstractActuator,
     AbstractEffect,
     AbstractInternalEffect,
     AbstractTerm,
@@ -54,8 +55,8 @@ def placements(plant: Plant, effects: Sequence[AbstractEffect]) -> list[Placed]:
     placed, coupled = [], plant.coupled
     for effect in effects:
         if isinstance(effect, INPUT_EFFECTS):
-            inputs = range(len(plant.inputs))
-            placed += [place(plant, effect, i) for i in inputs if effect.fits(plant, i)]
+            drivers = [(i, j) for i, j in _drivers(plant, effect) if effect.fits(plant, i)]
+            placed += [place(plant, effect, i, None, j) for i, j in drivers]
         else:
             inner = isinstance(effect, AbstractInternalEffect)
             count = own_states(plant) if inner else len(plant.outputs)
@@ -63,6 +64,14 @@ def placements(plant: Plant, effects: Sequence[AbstractEffect]) -> list[Placed]:
             placed += [place(plant, effect, *pair) for pair in _joints(plant, effect)]
             placed += [place(plant, effect, j, None, i) for j, i in _forces(plant, effect, coupled)]
     return placed
+
+
+def _drivers(plant: Plant, effect: AbstractEffect) -> list[tuple[int, int | None]]:
+    """Each input with each one that may drive an effect on it; with None where none does."""
+    count = len(plant.inputs)
+    if isinstance(effect, AbstractActuator) and effect.has_driver:
+        return [(i, j) for i in range(count) for j in range(count)]
+    return [(i, None) for i in range(count)]
 
 
 def _fits(plant: Plant, effect: AbstractEffect, channel: int) -> bool:

@@ -100,6 +100,7 @@ CLASSES: Mapping[str, str] = {
     "InputQuadratic": "models.effects.inputs",
     "InputSaturation": "models.effects.inputs",
     "InputRate": "models.effects.inputs",
+    "InputModulation": "models.effects.inputs",
     "InputYield": "models.effects.inputs",
     "Hysteresis": "models.effects.memory",
     "SecondNode": "models.effects.memory",

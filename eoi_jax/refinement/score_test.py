@@ -147,7 +147,8 @@ class LinearisedRuns:
         _, u, y, _ = self.stages
         rows = (0, min(placed.row, y.shape[-2] - 1))
         level, rate = (placed.coordinate(y[..., row, :]).ravel() for row in rows)
-        channel = u[..., placed.channel if placed.on_input else 0] if u.shape[-1] else 0.0 * level
+        drive = placed.channel if placed.through is None else placed.through
+        channel = u[..., drive if placed.on_input else 0] if u.shape[-1] else 0.0 * level
         period = max(record.sample_period for record in self.records)
         moving = np.std(level) or 1.0
         band = float(np.std(rate) / moving) if y.shape[-2] > 1 else 1.0 / (10.0 * period)
@@ -294,10 +295,10 @@ class LinearisedRuns:
         effect, i = placed.effect, placed.channel
         new = np.array(u)
         if isinstance(effect, AbstractActuator):
-            mean = (u[..., 0, i] + 4.0 * u[..., 1, i] + u[..., 2, i]) / 6.0
-            for run in range(len(u)):
-                late = effect.sampled(t[run, :, 1], mean[run], np.reshape(shape, (1, -1)))[0]
-                new[run, ..., i] += (late - mean[run])[:, None]
+            mean = (u[..., 0, :] + 4.0 * u[..., 1, :] + u[..., 2, :]) / 6.0
+            for run, drives in enumerate(placed.drives(mean)):
+                late = effect.sampled(t[run, :, 1], drives, np.reshape(shape, (1, -1)))[0]
+                new[run, ..., i] += (late - mean[run, :, i])[:, None]
         else:
             assert isinstance(effect, AbstractInputEffect)
             along_runs = (t, y[..., 0, 0], y[..., min(1, y.shape[-2] - 1), 0], u[..., i])

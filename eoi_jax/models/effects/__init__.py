@@ -29,6 +29,7 @@ from eoi_jax.models.effects.inputs import ActuatorLag as ActuatorLag
 from eoi_jax.models.effects.inputs import ErrorSaturation as ErrorSaturation
 from eoi_jax.models.effects.inputs import InputDeadZone as InputDeadZone
 from eoi_jax.models.effects.inputs import InputDelay as InputDelay
+from eoi_jax.models.effects.inputs import InputModulation as InputModulation
 from eoi_jax.models.effects.inputs import InputQuadratic as InputQuadratic
 from eoi_jax.models.effects.inputs import InputRate as InputRate
 from eoi_jax.models.effects.inputs import InputSaturation as InputSaturation

@@ -251,10 +251,13 @@ class AbstractActuator(AbstractEffect):
     Attributes:
         keeps_steps: whether a held input comes out held, as from a delay; else as a continuous one.
         keeps_inputs: whether its memory is past inputs alone, whatever the shape; else it follows.
+        has_driver: whether the past of an input, another one or the same, drives it: `along` and
+            `sampled` then get two columns, shape (S, 2), the input that it acts on and its driver.
     """
 
     keeps_steps: ClassVar[bool] = False
     keeps_inputs: ClassVar[bool] = False
+    has_driver: ClassVar[bool] = False
 
     def channels(self, plant: Plant) -> tuple[str, ...]:
         return plant.inputs
@@ -265,7 +268,7 @@ class AbstractActuator(AbstractEffect):
 
         Args:
             time: middle of each step, shape (S,), uniform [s].
-            u: mean of the input over each step, shape (S,).
+            u: mean of the input over each step, shape (S,); with its driver, shape (S, 2).
             shape: the shape parameters.
 
         Returns:
@@ -273,7 +276,7 @@ class AbstractActuator(AbstractEffect):
         """
 
     def sampled(
-        self, time: Float[np.ndarray, " S"], u: Float[np.ndarray, " S"], shapes: Grid
+        self, time: Float[np.ndarray, " S"], u: Float[np.ndarray, "S *driver"], shapes: Grid
     ) -> Float[np.ndarray, "grid S"]:
         """`along` of measured arrays for several shapes; subclasses may override it with NumPy."""
         return np.asarray(_sampled(self, time, u, shapes))

@@ -17,6 +17,7 @@ from eoi_jax.models.effects.inputs import (
     ErrorSaturation,
     InputDeadZone,
     InputDelay,
+    InputModulation,
     InputQuadratic,
     InputRate,
     InputSaturation,
@@ -85,7 +86,8 @@ def wider() -> tuple[AbstractEffect, ...]:
 
     Products of signals, damping with the square of the displacement, a second store, a loss with a
     power of the output, radiation, a yield law, a limited control error, a response to the rate of
-    the input, a lag of the sensor, cells in series (two; a fit goes on to 3, 6 and 12).
+    the input, a gain of an input that follows the past of an input, a lag of the sensor, cells in
+    series (two; a fit goes on to 3, 6 and 12).
 
     Returns:
         One object of each form.
@@ -106,6 +108,7 @@ def wider() -> tuple[AbstractEffect, ...]:
         InputYield(),
         ErrorSaturation(),
         InputRate(),
+        InputModulation(),
         SensorLag(),
         CellsInSeries(),
     )

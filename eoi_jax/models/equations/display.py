@@ -317,7 +317,9 @@ def _placed(plant: Plant, item: Any) -> Placed:
     """Where something that was found acts."""
     effect: AbstractEffect = item.effect
     if isinstance(effect, INPUT_EFFECTS):
-        return Placed(effect, plant.inputs.index(item.output), tuple(item.parameters))
+        channel, names = plant.inputs.index(item.output), tuple(item.parameters)
+        driver = plant.inputs.index(item.through) if item.through else None
+        return Placed(effect, channel, names, through=driver)
     if isinstance(effect, AbstractInternalEffect):
         channel = internal_names(plant).index(item.output)
         return Placed(effect, channel, tuple(item.parameters))
@@ -387,7 +389,9 @@ class _EffectFormulas:
             return Operation("/", drive, lag)
         if isinstance(effect, AbstractInputEffect):
             return self._formulas(lambda at, _, shapes: effect.changed(at, shapes))[0]
-        return Call(effect.name, (drive, *parameters))
+        driver = self.placed.through
+        past = () if driver is None else (Symbol(self._plant.inputs[driver]),)
+        return Call(effect.name, (drive, *past, *parameters))
 
     def rates(self) -> list[Expression]:
         """Rates of its own states."""
