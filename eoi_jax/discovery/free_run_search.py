@@ -40,7 +40,7 @@ from eoi_jax.discovery.probability import Contest
 from eoi_jax.discovery.refit import not_simulated
 from eoi_jax.discovery.replacements import replaced_terms, replacements
 from eoi_jax.discovery.rules import RULES
-from eoi_jax.models.augmented import Placed, augmented
+from eoi_jax.models.augmented import Placed, augmented, place
 from eoi_jax.models.effects import ConstantOffset, Drift, Product, SinusoidalDisturbance
 from eoi_jax.models.effects.effect import AbstractCascade, AbstractEffect
 from eoi_jax.models.placements import placements
@@ -301,14 +301,26 @@ class Search:
 
     def further_forms(self, trials: Sequence[Judged]) -> list[Judged]:
         """The best model that has an effect of several forms, in the form that fits best."""
-        candidates = [trial for trial in trials if _next_forms(trial.placed) is not None]
+        candidates = [trial for trial in trials if self._next_forms(trial.placed) is not None]
         best = first = min(candidates, key=lambda trial: trial.error, default=None)
-        while best is not None and (placed := _next_forms(best.placed)) is not None:
+        while best is not None and (placed := self._next_forms(best.placed)) is not None:
             trial = self._with_only(placed, best)
             if trial is None or trial.refinement.cost >= best.refinement.cost:
                 break
             best = trial
         return [] if best is None or best is first else [best]
+
+    def _next_forms(self, placed: Sequence[Placed]) -> tuple[Placed, ...] | None:
+        """Effects in their next forms, where these fit; None where none has any."""
+        forms = [None if item in self.base.placed or item.channel == item.through
+                 else item.effect.next_form() for item in placed]  # fmt: skip
+        if not any(forms):
+            return None
+        declared = self.base.refinement.plant
+        pairs = zip(placed, forms, strict=True)
+        return tuple(item if form is None else
+                     place(declared, form, item.channel, item.against, item.through)
+                     for item, form in pairs)  # fmt: skip
 
     def _with_only(self, placed: Sequence[Placed], model: Judged) -> Judged | None:
         """The base with these effects, refined from the values of a model that has them."""
@@ -316,6 +328,7 @@ class Search:
         declared = base.refinement.plant
         declared = declared.with_parameters({name: values[name] for name in declared.names})
         further = tuple(item for item in placed if item not in base.placed)
+        values = dict.fromkeys((name for item in further for name in item.names), 0.0) | values
         plant, effects = augmented(declared, further, values), (*base.placed, *further)
         if further and (fixed := replaced_terms(declared, model.refinement.plant)):
             plant = plant.declared_anew(fixed=fixed)
@@ -493,18 +506,6 @@ def _made_best(searches: Sequence[Search], search: Search, best: Judged) -> tupl
         if trial is not None and variant.judge.needs(trial, best):
             pairs.append((variant, variant.leanest(trial)))
     return min(pairs, key=lambda pair: pair[1].error)
-
-
-def _next_forms(placed: Sequence[Placed]) -> tuple[Placed, ...] | None:
-    """Effects in their next forms; None where none has any."""
-    following = [
-        placement.effect.next_form() if isinstance(placement.effect, AbstractCascade) else None
-        for placement in placed
-    ]
-    if not any(following):
-        return None
-    pairs = zip(placed, following, strict=True)
-    return tuple(item if form is None else replace(item, effect=form) for item, form in pairs)
 
 
 def _repeated(present: Sequence[Placed], placed: Sequence[Placed]) -> bool:

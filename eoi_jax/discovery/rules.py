@@ -164,6 +164,8 @@ class AnswerRules:
         negligible: residual over y^(r), both rms, below which nothing is missing.
         confirmed: largest ratio of the errors after and before, in every free run, that confirms.
         noise: error of short free runs over the noise of a sensor, above which it is not noise.
+        bounded_noise: the same where samples are so far apart that differences show the motion,
+            and the noise is only known from above. Of the true model the ratio is near one.
         as_good: largest ratio of the errors of a simpler and a wider law at which it is preferred.
         offset_errors: standard errors within which an offset beside dry friction is negligible.
         offset_share: share of the friction level below which it is.
@@ -182,6 +184,7 @@ class AnswerRules:
     negligible: float = 0.01
     confirmed: float = 2.0 / 3.0
     noise: float = 3.0
+    bounded_noise: float = 1.5
     as_good: float = 1.01
     offset_errors: float = 2.0
     offset_share: float = 1e-2

@@ -70,7 +70,8 @@ def _drivers(plant: Plant, effect: AbstractEffect) -> list[tuple[int, int | None
     """Each input with each one that may drive an effect on it; with None where none does."""
     count = len(plant.inputs)
     if isinstance(effect, AbstractActuator) and effect.has_driver:
-        return [(i, j) for i in range(count) for j in range(count)]
+        pairs = itertools.product(range(count), repeat=2)
+        return [(i, j) for i, j in pairs if i != j or effect.drives_itself]
     return [(i, None) for i in range(count)]
 
 

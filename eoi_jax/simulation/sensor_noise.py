@@ -43,6 +43,16 @@ def sensor_noise(*free_runs: Validation | None) -> Float[np.ndarray, " ny"]:
     return np.min([_bound(run) for run in free_runs if run is not None], axis=0)
 
 
+def shows_noise(run: Validation) -> Bool[np.ndarray, " ny"]:
+    """Whether differences of the samples show the noise of each output, and not its motion.
+
+    Args:
+        run: free runs of a model, which takes the motion out of them.
+    """
+    noise = np.max([record.noise for record in run.records], axis=0)
+    return sensor_noise(run) >= _SETTINGS.agreement * noise
+
+
 def _bound(run: Validation) -> Float[np.ndarray, " ny"]:
     scored = run.scored_at or tuple(np.ones(len(record), bool) for record in run.records)
     predicted = [prediction.outputs for prediction in run.predictions]

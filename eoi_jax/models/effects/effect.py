@@ -148,6 +148,10 @@ class AbstractEffect(ABC):
     def __hash__(self) -> int:
         return hash((type(self), tuple(sorted(vars(self).items()))))
 
+    def next_form(self) -> "AbstractEffect | None":
+        """What a fit goes on to where this one fits; None for an effect of a single form."""
+        return None
+
     def since(self, start: float) -> "AbstractEffect":
         """The effect for records that start at this time; unchanged unless it depends on time."""
         del start
@@ -251,13 +255,15 @@ class AbstractActuator(AbstractEffect):
     Attributes:
         keeps_steps: whether a held input comes out held, as from a delay; else as a continuous one.
         keeps_inputs: whether its memory is past inputs alone, whatever the shape; else it follows.
-        has_driver: whether the past of an input, another one or the same, drives it: `along` and
-            `sampled` then get two columns, shape (S, 2), the input that it acts on and its driver.
+        has_driver: whether the past of an input drives it: `along` and `sampled` then get two
+            columns, shape (S, 2), the input that it acts on and its driver.
+        drives_itself: whether its driver may be the input that it acts on.
     """
 
     keeps_steps: ClassVar[bool] = False
     keeps_inputs: ClassVar[bool] = False
     has_driver: ClassVar[bool] = False
+    drives_itself: bool = False
 
     def channels(self, plant: Plant) -> tuple[str, ...]:
         return plant.inputs
@@ -369,10 +375,6 @@ class AbstractCascade(AbstractEffect):
         Others start in proportion to the last one before them with the weight one.
         """
         return (1.0,) * self.states
-
-    def next_form(self) -> "AbstractCascade | None":
-        """What a fit goes on to where this one fits; None for an effect of a single form."""
-        return None
 
     def outputs_along(
         self, y: Float[np.ndarray, "runs time"], period: float, shape: np.ndarray

@@ -219,38 +219,67 @@ def _lagged(z: Any, u: Any, decay: Any, late: Any) -> tuple[Any, Any]:
     return u + (z - u) * decay, u + (z - u) * late
 
 
+@dataclass(frozen=True)
 class InputModulation(AbstractActuator):
     r"""u max(1 + d z, 0), T dz/dt = w - z: a gain that the past of an input w raises or lowers.
 
     The ground runs off more rain when it is wet, and is dry after warm weeks; a heater, a muscle, a
     catalyst or a battery answers less after what it has done. w may be u itself, or another input
-    that was recorded. z is in steady state at the start of the record.
+    that was recorded. z is in steady state at the start of the record. In its second form z is a
+    store that both move, T dz/dt = w + s u - z: rain wets the ground that warmth dries.
 
     Source: A. J. Jakeman and G. M. Hornberger, Water Resour. Res. 29 (1993) 2637, whose rain is
     multiplied by an index of wetness; the form for any two inputs is our own.
+
+    Attributes:
+        shared: whether it is the second form.
     """
 
     name = "input_modulation"
     sentence = "a gain of an input that follows the past of an input"
     rarity = 1.0  # one of as many as there are pairs of inputs
-    shapes = (Parameter("depth", "1/({f})"), Parameter("lag", "s", lower=0.0))
     depends_on = "t"
     only_in_free_runs = True
     keeps_steps = True
     has_driver = True
 
+    shared: bool = False
+
+    @property
+    def shapes(self) -> tuple[Parameter, ...]:  # pyright: ignore[reportIncompatibleVariableOverride]
+        """Depth d and lag T, and the share s of u."""
+        shapes = Parameter("depth", "1/({f})"), Parameter("lag", "s", lower=0.0)
+        return (*shapes, Parameter("share", "({f})/({u})")) if self.shared else shapes
+
+    @property
+    def drives_itself(self) -> bool:  # pyright: ignore[reportIncompatibleVariableOverride]
+        """In the first form only: in the second one the share would say the same as the depth."""
+        return not self.shared
+
+    @property
+    def form(self) -> str:
+        """Whether both inputs move the store."""
+        return "shared" if self.shared else ""
+
+    def next_form(self) -> "InputModulation | None":
+        return None if self.shared else InputModulation(shared=True)
+
     def grid(self, seen: Seen) -> Grid:
         lags = np.geomspace(2.0 * seen.sample_period, seen.duration / 8.0, 7)
         depths = np.array([-1.0, -0.3, 0.3, 1.0]) / (np.max(np.abs(seen.u)) or 1.0)
-        return np.stack(np.meshgrid(depths, lags, indexing="ij"), axis=-1).reshape(-1, 2)
+        grid = np.stack(np.meshgrid(depths, lags, indexing="ij"), axis=-1).reshape(-1, 2)
+        return np.pad(grid, ((0, 0), (0, int(self.shared))))
 
     def along(self, time: Any, u: Any, shape: Any) -> Any:
-        past = ActuatorLag().along(time, u[:, 1], [shape[1]])
+        drive = u[:, 1] + shape[2] * u[:, 0] if self.shared else u[:, 1]
+        past = ActuatorLag().along(time, drive, [shape[1]])
         return u[:, 0] * jnp.maximum(1.0 + shape[0] * past, 0.0)
 
     def sampled(
         self, time: Float[np.ndarray, " S"], u: Float[np.ndarray, "S *driver"], shapes: Grid
     ) -> Float[np.ndarray, "grid S"]:
+        if self.shared:
+            return super().sampled(time, u, shapes)
         past = ActuatorLag().sampled(time, u[:, 1], shapes[:, 1:])
         return u[:, 0] * np.maximum(1.0 + shapes[:, :1] * past, 0.0)
 

@@ -86,8 +86,8 @@ def wider() -> tuple[AbstractEffect, ...]:
 
     Products of signals, damping with the square of the displacement, a second store, a loss with a
     power of the output, radiation, a yield law, a limited control error, a response to the rate of
-    the input, a gain of an input that follows the past of an input, a lag of the sensor, cells in
-    series (two; a fit goes on to 3, 6 and 12).
+    the input, a gain of an input that follows the past of an input (a fit goes on to a store that
+    both move), a lag of the sensor, cells in series (two; a fit goes on to 3, 6 and 12).
 
     Returns:
         One object of each form.

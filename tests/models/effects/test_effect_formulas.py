@@ -130,6 +130,7 @@ def test_every_effect_has_a_closed_form_here():
         "input_delay",
         "actuator_lag",
         "input_rate",
+        "input_modulation",
     }  # test_effects.py
     assert {one.name for one in in_series} == {"cells_in_series", "sensor_lag"}  # test_series.py
 

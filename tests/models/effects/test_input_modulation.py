@@ -14,7 +14,7 @@ from eoi_jax.models.placements import placed_label, placements
 from eoi_jax.simulation.validate import validate
 
 H, LAG, DEPTH = 1.0, 30.0, -0.05
-EFFECT = effects.InputModulation()
+EFFECT, SHARED = effects.InputModulation(), effects.InputModulation(shared=True)
 
 
 def reservoir(t, x, u, p):
@@ -35,12 +35,13 @@ def weather(seed, count=700):
     return rain, season + lfilter([1.0], [1.0, -0.8], draw.standard_normal(count))
 
 
-def measured(seed, depth=DEPTH, noise=0.5):
-    """Discharge of held rain, exact; the ground dries in warm weeks."""
+def measured(seed, depth=DEPTH, noise=0.5, share=0.0):
+    """Discharge of held rain, exact; the ground dries in warm weeks, and rain may wet it."""
     rain, warmth = weather(seed)
     decay, past = np.exp(-H / LAG), np.zeros(len(rain))
-    z = warmth[0]
-    for i, w in enumerate(warmth):
+    drives = warmth + share * rain
+    z = drives[0]
+    for i, w in enumerate(drives):
         past[i] = w + (z - w) * LAG / H * (1.0 - decay)  # mean of the lag over the day
         z = w + (z - w) * decay
     pushed = 20.0 * rain * np.maximum(1.0 + depth * past, 0.0) + 4.0
@@ -62,6 +63,15 @@ def test_along_a_record_numpy_and_jax_agree(lag):
     np.testing.assert_allclose(along, sampled, rtol=1e-12, atol=1e-12)
 
 
+def test_a_share_of_the_input_itself_moves_the_store_too():
+    rain, warmth = weather(0, 200)
+    time = np.arange(200.0)
+    both = np.stack([rain, warmth - 3.0 * rain], axis=1)
+    expected = EFFECT.sampled(time, both, np.array([[DEPTH, LAG]]))
+    got = SHARED.sampled(time, np.stack([rain, warmth], axis=1), np.array([[DEPTH, LAG, -3.0]]))
+    np.testing.assert_allclose(got, expected, rtol=1e-12)
+
+
 def test_behind_a_driver_that_does_not_move_it_is_a_gain_that_ends_at_zero():
     time, u = np.arange(50.0), np.stack([np.arange(50.0), np.full(50, 4.0)], axis=1)
     for depth in (-0.1, 0.3, -0.5):
@@ -72,6 +82,8 @@ def test_behind_a_driver_that_does_not_move_it_is_a_gain_that_ends_at_zero():
 def test_each_input_may_drive_each_one():
     placed = placements(PLANT, [EFFECT])
     assert [(item.channel, item.through) for item in placed] == [(0, 0), (0, 1), (1, 0), (1, 1)]
+    shared = placements(PLANT, [SHARED])
+    assert [(item.channel, item.through) for item in shared] == [(0, 1), (1, 0)]
     assert placed_label(PLANT, placed[1]) == "input_modulation at rain beside warmth"
     plant = augmented(PLANT, placed[1:2], dict(zip(placed[1].names, (DEPTH, LAG), strict=True)))
     depth, lag = placed[1].names
@@ -86,22 +98,37 @@ def test_the_simulated_plant_is_the_exact_one():
     assert runs.nrmse[0] < 1e-3
 
 
-def searched(depth):
+def searched(depth, share=0.0):
     tried = [EFFECT, effects.ConstantOffset(), effects.InputSaturation()]
-    answer = search_free_runs([PLANT], [((measured(1, depth),), (measured(2, depth),))], tried)
+    records = [(measured(seed, depth, share=share),) for seed in (1, 2)]
+    answer = search_free_runs([PLANT], [(records[0], records[1])], tried)
     assert answer is not None
     return answer
 
 
+@pytest.mark.slow
+@pytest.mark.long
 def test_it_is_found_with_its_size_in_free_runs():
     answer = searched(DEPTH)
     (placed,) = answer.best.placed
-    assert (placed.effect, placed.channel, placed.through) == (EFFECT, 0, 1)
-    depth, lag = (answer.final.refinement.parameters[name] for name in placed.names)
+    assert (placed.effect.name, placed.channel, placed.through) == (EFFECT.name, 0, 1)
+    depth, lag = (answer.final.refinement.parameters[name] for name in placed.names[:2])
     assert depth == pytest.approx(DEPTH, rel=0.05)
     assert lag == pytest.approx(LAG, rel=0.2)
 
 
+@pytest.mark.slow
+@pytest.mark.long
+def test_the_form_in_which_both_move_the_store_is_found_from_the_first():
+    answer = searched(DEPTH, share=-1.5)
+    (placed,) = answer.best.placed
+    assert placed.effect == SHARED
+    values = [answer.final.refinement.parameters[name] for name in placed.names]
+    assert values == pytest.approx([DEPTH, LAG, -1.5], rel=0.15)
+
+
+@pytest.mark.slow
+@pytest.mark.long
 def test_a_gain_that_does_not_change_gets_none():
     assert searched(0.0).best.placed == ()
 
