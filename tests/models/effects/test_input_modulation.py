@@ -1,5 +1,7 @@
 """A gain of an input that follows the past of an input, against closed forms and SciPy."""
 
+from types import SimpleNamespace
+
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -10,6 +12,7 @@ from eoi_jax import effects
 from eoi_jax.discovery.free_run_search import search_free_runs
 from eoi_jax.estimation.online_inputs import DrivenInputs
 from eoi_jax.models.augmented import augmented
+from eoi_jax.models.equations.display import equation_text
 from eoi_jax.models.placements import placed_label, placements
 from eoi_jax.simulation.validate import validate
 
@@ -131,6 +134,16 @@ def test_the_form_in_which_both_move_the_store_is_found_from_the_first():
 @pytest.mark.long
 def test_a_gain_that_does_not_change_gets_none():
     assert searched(0.0).best.placed == ()
+
+
+def test_an_equation_names_the_input_with_its_driver():
+    placed = placements(PLANT, [EFFECT])[1]
+    item = SimpleNamespace(
+        effect=EFFECT, output="rain", against="", through="warmth",
+        parameters=dict.fromkeys(placed.names, 1.0),
+    )  # fmt: skip
+    written = f"input_modulation(rain, warmth, {', '.join(placed.names)})"
+    assert written in equation_text(PLANT, [item])
 
 
 def test_it_is_not_run_sample_by_sample():
