@@ -59,7 +59,7 @@ class At(NamedTuple):
         u: the input (of the channel, or the first one).
         z: internal states of the effect, shape (states,).
         slope: first derivative of `y`, for effects with `follows_slope`.
-        state: outputs of the plant and their derivatives, [row][output].
+        state: outputs of the plant and their derivatives, shape (r, ny).
         inputs: of the plant.
     """
 
