@@ -128,10 +128,10 @@ def trial(effect, error):
     return replace(judged, runs=(replace(runs, nrmse=np.exp([error])), None))
 
 
-@pytest.mark.parametrize(("fall", "chosen"), [(0.05, "coulomb_friction"),
-                                              (0.07, "stribeck_friction")])  # fmt: skip
+@pytest.mark.parametrize(("fall", "chosen"), [(0.08, "coulomb_friction"),
+                                              (0.1, "stribeck_friction")])  # fmt: skip
 def test_a_wider_law_is_better_by_so_much_for_each_further_parameter(fall, chosen):
-    """Stribeck friction has two more than Coulomb friction; each must lower errors by 0.03."""
+    """Stribeck friction has two more than Coulomb friction: 0.03 for each, and 0.03 that decide."""
     trials = [
         trial(effects.CoulombFriction(), -5.0),
         trial(effects.StribeckFriction(), -5.0 - fall),
