@@ -162,7 +162,7 @@ def search_free_runs(
         accepted = [trial for trial in trials if search.judge.prefers(trial.runs, best.runs)]
         if not accepted:
             break
-        chosen = search.judge.plainest(accepted)
+        chosen = search.judge.plainest(search.answers(accepted) or accepted)
         rounds.append(Contest(best, chosen, tuple(trials)))
         best = chosen
     search, best = _made_best(searches, search, search.leanest(best))
@@ -239,6 +239,11 @@ class Search:
             return False
         judge = Judge.of((*self.searched, *self.judge.records), start) or self.judge
         return not judge.prefers(judge.runs(start), judge.runs(base.refinement.plant))
+
+    def answers(self, models: Sequence[Judged]) -> list[Judged]:
+        """Models whose errors are lower than those of the base by as much as makes an answer."""
+        least = self.base.error + np.log(RULES.answer.confirmed)
+        return [model for model in models if model.error < least]
 
     def further(self, model: Judged) -> tuple[Placed, ...]:
         """Effects of a model that the base has not."""

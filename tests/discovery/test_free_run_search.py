@@ -370,17 +370,29 @@ def test_whole_records_of_a_plant_that_returns_show_what_is_missing_however_larg
     ],
 )
 def test_of_laws_that_are_as_good_the_plainest_is_chosen(rivals, chosen):
+    judge, trials = judged_with(rivals)
+    assert judge.plainest(list(trials.values())).placed[0].effect.name == chosen
+
+
+def judged_with(errors):
+    """A model with one effect or none, of mean errors that are given by its name."""
     plant, time = eoi.Plant(lambda t, x, u, p: p.b * u, {"b": 1.0}, 2), 0.1 * np.arange(60)
     record = eoi.Record(time, np.sin(time), time - np.sin(time), hold="linear")
     fit, judge = refine_once(plant, (record,), None), Judge((record,), 2.0, 6, 9)
     whole, _ = judge.runs(plant)
     tried = effects.ConstantOffset(), effects.EndStop(1), Product("u", "y")
-    trials = [
-        Judged(fit, (place(plant, law, 0),), (replace(whole, nrmse=np.exp([error])), None))
-        for law in tried
-        if (error := rivals.get(law.name)) is not None
-    ]
-    assert judge.plainest(trials).placed[0].effect.name == chosen
+    laws = {law.name: (place(plant, law, 0),) for law in tried}
+    return judge, {
+        name: Judged(fit, laws.get(name, ()), (replace(whole, nrmse=np.exp([error])), None))
+        for name, error in errors.items()
+    }
+
+
+def test_a_plain_law_that_is_no_answer_does_not_come_before_one_that_is():
+    judge, trials = judged_with({"none": 0.0, "constant_offset": -0.4, "product": -0.42})
+    base, *models = trials.values()
+    search = Search(judge.records, judge.records, judge, (base,))
+    assert [model.placed[0].effect.name for model in search.answers(models)] == ["product"]
 
 
 def test_records_too_short_for_windows_are_not_judged():
