@@ -16,7 +16,7 @@ parameters are biased hides right effects from both. The search:
    these records exceeds its own standard error by enough. Then from 2, until none does.
 5. What can be left out again without a larger error is left out; of the ways in which the records
    may have been made that with the smallest errors of the answer is taken, and of its fits over
-   long and over short runs that with the smallest ones on all records.
+   long and over short runs that on which all records agree, whole and in windows.
 
 Disturbances in time are not tried: they stand in for what the library lacks.
 """
@@ -93,16 +93,21 @@ class FreeRunAnswer:
 
     @cached_property
     def final(self) -> Judged:
-        """Of the fits of that model the one that predicts all records best.
+        """Of the fits of that model the judged one, unless another is better on all records.
 
         Between fits of the same parameters the records of the fit tell as much as the few that
-        judge; none is taken that predicts these worse than the base.
+        judge: it must predict them better together, whole and in windows. None is taken that
+        predicts these worse than the base.
         """
         judge = replace(self.judge, records=(*self.records, *self.judging))
-        fits = [fit for fit in self.fits[1:] if fit.error < self.base.error]
-        if not fits:
-            return self.best
-        return min([self.best, *fits], key=lambda fit: mean_error(judge.runs(fit.refinement.plant)))
+        final, errors = self.best, None
+        for fit in self.fits[1:]:
+            if fit.error < self.base.error:
+                errors = errors or _errors_of_each(judge, final)
+                trial = _errors_of_each(judge, fit)
+                if all(new < old for new, old in zip(trial, errors, strict=True)):
+                    final, errors = fit, trial
+        return final
 
 
 def search_free_runs(
@@ -439,6 +444,11 @@ def _fitted(
     if not refinement.status.fits:
         return None
     return Judged(refinement, placed, judge.runs(refinement.plant))
+
+
+def _errors_of_each(judge: Judge, model: Judged) -> list[float]:
+    """Mean errors of the long runs of a model, and of its short ones."""
+    return [mean_error((run, None)) for run in judge.runs(model.refinement.plant) if run]
 
 
 def _portion(records: tuple[Record, ...]) -> tuple[Record, ...]:

@@ -9,7 +9,8 @@ from scipy.stats import t as student
 import eoi_jax as eoi
 from eoi_jax import effects
 from eoi_jax.discovery import judge
-from eoi_jax.discovery.judge import Judged, noise_level, odds, probability_better
+from eoi_jax.discovery.free_run_search import FreeRunAnswer
+from eoi_jax.discovery.judge import Judge, Judged, noise_level, odds, probability_better
 from eoi_jax.discovery.probability import Contest, Standing, from_contests, from_sets
 from eoi_jax.discovery.result import Rival
 from eoi_jax.models.augmented import place
@@ -194,3 +195,38 @@ def test_models_with_another_effect_of_the_answer_are_no_rivals():
     assert from_contests(MASS, both, both.placed, []) == {}
     # What was in the model from the start was chosen in none of these rounds.
     assert from_contests(MASS, both, both.placed, [second]).keys() == {OFFSET}
+
+
+class Known(Judge):
+    """A judge that knows the errors of models, by their gain."""
+
+    def runs(self, plant):
+        whole, windows = ERRORS[plant.parameters["b"]]
+        return runs_with([whole] * 10)[0], runs_with([windows] * 10)[1]
+
+
+# Of the base, and of fits of a model: over all records, in whole runs and in windows.
+ERRORS = {1.0: (3.0, 3.0), 2.0: (0.5, 0.4), 3.0: (0.2, 0.3), 4.0: (0.1, 0.5), 5.0: (0.05, 0.05)}
+
+
+def test_of_fits_alike_all_records_take_another_where_it_is_better_whole_and_in_windows():
+    data = (record(np.zeros(COUNT)),)
+
+    def fit(gain, level):
+        plant = MASS.with_parameters({"b": gain})
+        return Judged(replace(REFINEMENT, plant=plant), (FRICTION,), runs_with([level] * 10))
+
+    base, judged, alike, mixed, worse = (
+        fit(gain, level)
+        for gain, level in ((1.0, 1.0), (2.0, 0.2), (3.0, 0.3), (4.0, 0.3), (5.0, 1.5))
+    )
+    judge_of_all = Known(data, 1.0, 3, 3)
+    for fits, final in (
+        ((judged,), judged),
+        ((judged, alike), alike),
+        ((judged, mixed), judged),  # better in whole runs alone
+        ((judged, worse), judged),  # worse than the base on the records that judge
+    ):
+        answer = FreeRunAnswer(base, fits, data, judge_of_all, True, 1.0)
+        assert answer.best is judged
+        assert answer.final is final
