@@ -348,7 +348,6 @@ FIRST: Mapping[str, FoundSet] = {
         building_hourly,
         "Demo data of a real building: https://github.com/czagoni/darkgreybox "
         "(docs/tutorials/data/demo_data.csv)",
-        aside=True,
     ),
     "solar_array_graz": FoundSet(
         solar_array_graz,
@@ -365,7 +364,6 @@ FIRST: Mapping[str, FoundSet] = {
     "catchment_small": FoundSet(
         catchment_small,
         f"A catchment of 1.783 km², 2013 to 2016. {_SPOTPY}",
-        aside=True,
     ),
     "soil_moisture": FoundSet(
         soil_moisture,

@@ -215,7 +215,6 @@ SHORT: Mapping[str, FoundSet] = {
         air_chamber,
         "appendix_compressed-air_chamber/data/Ultimaker_020.csv, 4.5 to 40.1 s, of "
         "https://github.com/EvaZillen/3D-printed-pneumatic-actuator",
-        aside=True,
     ),
     "office_air": FoundSet(
         office_air,
