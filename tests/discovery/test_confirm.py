@@ -47,6 +47,26 @@ def test_free_runs_beyond_the_noise_are_told(records):
     assert beyond_noise(None, [records[0]]) == []
 
 
+@pytest.mark.parametrize("seed", range(3))
+def test_of_slow_samples_an_error_within_their_differences_is_more_than_noise(seed):
+    """Samples 0.3 time constants apart differ by three times their noise.
+
+    So an error of a fifth more gain is less than three times what the samples show, though it is
+    many times their noise; the true model's is not told.
+    """
+    draw, (period, noise) = np.random.default_rng(seed), (0.3, 0.02)
+    u = np.repeat(draw.standard_normal(1000), 3)[:2000, None]
+    y = problems.held_response(np.array([[-1.0]]), np.array([[1.0]]), u, period)[:, :1]
+    record = Record.from_period(
+        period, u, y + noise * draw.standard_normal(y.shape), output_names="level", hold="zero"
+    )
+    lag = Plant(lambda t, x, u, p: p.b * u - x.y[0], {"b": 1.0}, 1, outputs=("level",))
+    assert beyond_noise(validate(lag, record, window=60.0), [record]) == []
+    runs = validate(lag.with_parameters({"b": 1.2}), record, window=60.0)
+    assert 3.0 * noise < runs.rmse[0] < 3.0 * record.noise[0]
+    assert len(beyond_noise(runs, [record])) == 1
+
+
 @pytest.fixture
 def silenced(monkeypatch):
     """An injection that is silent, of parameters that stay where they are."""
