@@ -469,11 +469,15 @@ def _advance(
     u0, u1, u2 = (problem.input_at(fraction) for fraction in fractions)
 
     def rate(x: State, instant: tuple[Scalar, Input]) -> State:
-        time, inputs = instant
-        return problem.rate(time, x, inputs, direction)
+        return _rate(problem, *instant, x, direction)
 
     instants = ((t0, u0), (t1, u1), (t2, u2))
     return runge_kutta_step(rate, x, (end - start) * problem.step, instants)[0]
+
+
+@jit  # traced once for all stages
+def _rate(problem: _Problem, t: Scalar, u: Input, x: State, direction: Output | None) -> State:
+    return problem.rate(t, x, u, direction)
 
 
 def _smooth_step(problem: _Problem, x: State) -> State:
@@ -566,7 +570,7 @@ def _direction(problem: _Problem, x: State, fraction: Scalar) -> Output:
 
 def _slope(problem: _Problem, x: State, fraction: Scalar, direction: Output) -> State:
     t = problem.time + fraction * problem.step
-    return problem.rate(t, x, problem.input_at(fraction), direction)
+    return _rate(problem, t, problem.input_at(fraction), x, direction)
 
 
 def _first_zero(v0: Output, dv: Output, v1: Output, direction: Output, stops: Flags) -> Output:
