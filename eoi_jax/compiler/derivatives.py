@@ -17,7 +17,7 @@ import jax
 import numpy as np
 
 from eoi_jax.compiler.graph import Graph, Node, Untranslatable, is_value, topological_order
-from eoi_jax.compiler.jax_private import Primitive, jaxprs_within
+from eoi_jax.compiler.jax_private import Primitive, operations_of
 
 # What the author of a function says of its derivative, and what JAX differentiates in fewer steps
 # than its scalar program has.
@@ -64,14 +64,7 @@ def jvp(function: Callable, primals: tuple, tangents: tuple) -> tuple[Any, Any]:
 
 def differentiated_by_jax(jaxpr: Any) -> bool:
     """Whether a traced function has a part whose derivative is JAX's to take."""
-    return bool(_names(jaxpr) & _BY_JAX)
-
-
-def _names(jaxpr: Any) -> set[str]:
-    """Of all operations of a traced function."""
-    names = {equation.primitive.name for equation in jaxpr.eqns}
-    inner = (part for equation in jaxpr.eqns for part in jaxprs_within(equation))
-    return names.union(*(_names(getattr(part, "jaxpr", part)) for part in inner))
+    return bool(operations_of(jaxpr) & _BY_JAX)
 
 
 def derivatives(

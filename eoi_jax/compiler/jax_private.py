@@ -85,6 +85,13 @@ def jaxprs_within(equation: Any) -> list[Any]:
     return jaxprs
 
 
+def operations_of(jaxpr: Any) -> set[str]:
+    """Names of all operations of a traced function, those that call others included."""
+    names = {equation.primitive.name for equation in jaxpr.eqns}
+    inner = (part for equation in jaxpr.eqns for part in jaxprs_within(equation))
+    return names.union(*(operations_of(getattr(part, "jaxpr", part)) for part in inner))
+
+
 _CALLS = {
     "jit": "jaxpr",
     "pjit": "jaxpr",
@@ -97,6 +104,9 @@ _CALLS = {
     "custom_vjp_call": "call_jaxpr",
     "custom_vjp_call_jaxpr": "fun_jaxpr",
 }
+
+
+CALLS = frozenset(_CALLS)  # names of equations that call a function
 
 
 def called(equation: Any) -> ClosedJaxpr | None:

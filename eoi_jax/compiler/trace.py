@@ -17,10 +17,12 @@ from eoi_jax.compiler import indexing
 from eoi_jax.compiler.derivatives import JVP, derivatives
 from eoi_jax.compiler.graph import OPERATIONS, Graph, Node, Untranslatable
 from eoi_jax.compiler.jax_private import (
+    CALLS,
     ClosedJaxpr,
     Literal,
     branches_of,
     called,
+    operations_of,
     product_part,
     scan_parts,
     solving_part,
@@ -525,3 +527,14 @@ _COMPONENTS: dict[str, Callable] = {
     "clamp": _clamp,
     "select_n": _select_n,
 }
+
+
+def is_arithmetic(closed: ClosedJaxpr) -> bool:
+    """Whether a traced function only computes and moves components.
+
+    It then solves no equations, transforms nothing, and calls nothing outside of JAX.
+    """
+    return operations_of(closed.jaxpr) <= _ARITHMETIC
+
+
+_ARITHMETIC = {*_COMPONENTS, *_MOVES, *_INDEXED, *_ARRAYS, *CALLS, "split", "unstack"}

@@ -14,6 +14,7 @@ from typing import Any, TypeVar
 import jax
 import jax.numpy as jnp
 
+from eoi_jax.compiler.trace import is_arithmetic
 from eoi_jax.models.plant import Plant, State
 
 _WAITS = ("custom_call", "stablehlo.fft")  # in the program of a plant, as JAX hands it to XLA
@@ -30,9 +31,13 @@ def waits(plant: Plant) -> bool:
         x, t = State(y, plant.internal_start(theta)), jnp.zeros(())
         return plant.derivative(t, x, u, theta), plant.internal_rate(t, x, u, theta)
 
-    y, u = (plant.rows, len(plant.outputs)), (len(plant.inputs),)
-    shapes = (jax.ShapeDtypeStruct((2, *shape), jnp.result_type(float)) for shape in (y, u))
-    text = jax.jit(jax.vmap(rates)).lower(*shapes).as_text()
+    def shapes(*lanes: int) -> list[Any]:
+        single = (plant.rows, len(plant.outputs)), (len(plant.inputs),)
+        return [jax.ShapeDtypeStruct((*lanes, *shape), jnp.result_type(float)) for shape in single]
+
+    if is_arithmetic(jax.make_jaxpr(rates)(*shapes())):
+        return False  # as of most plants, whose program need not be made for that
+    text = jax.jit(jax.vmap(rates)).lower(*shapes(2)).as_text()
     return any(operation in text for operation in _WAITS)
 
 
