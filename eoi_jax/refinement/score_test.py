@@ -273,10 +273,9 @@ class LinearisedRuns:
             if effect.states:
                 period = float(np.mean(t[:, 0, 2] - t[:, 0, 0]))
                 z = jnp.asarray(effect.states_along(level, period, shape))
+            state, inputs = jnp.moveaxis(y, (-2, -1), (0, 1)), jnp.moveaxis(u, -1, 0)
             signals = (jnp.asarray(term) for term in (t, level, rate, channel))
-            whole = [jnp.moveaxis(part, axes, range(len(axes))) for part, axes in
-                     ((y, (-2, -1)), (u, (-1,)))]  # fmt: skip
-            at = At(*signals, z, None, *whole)
+            at = At(*signals, z=z, state=state, inputs=inputs)
             units = np.eye(len(effect.gains))
             terms = (effect.term(at, list(gain), list(shape)) for gain in units)
             pushes = self._pushes(placed)
