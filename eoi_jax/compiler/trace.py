@@ -231,13 +231,9 @@ def _jvp(graph: Graph, params: dict, *args: np.ndarray) -> list[np.ndarray]:
     tangents = [pair for x, dx in pairs for pair in zip(x.ravel(), dx.ravel(), strict=True)]
     flat = [node for array in results for node in array.ravel()]
     fixed_nodes = [node for array in fixed for node in array.ravel()]
-    slopes, sizes = np.empty(len(flat), object), [array.size for array in results]
+    slopes = np.empty(len(flat), object)
     slopes[:] = derivatives(graph, flat, tangents, fixed_nodes)
-    parts = np.split(slopes, np.cumsum(sizes)[:-1])
-    return [
-        *results,
-        *(part.reshape(array.shape) for part, array in zip(parts, results, strict=True)),
-    ]
+    return [*results, *_shaped(slopes, results)]
 
 
 _ARRAY_RULES: dict[str, Callable] = {
