@@ -167,7 +167,7 @@ def search_free_runs(
         accepted = [trial for trial in trials if search.judge.prefers(trial.runs, best.runs)]
         if not accepted:
             break
-        chosen = search.judge.plainest(search.answers(accepted) or accepted)
+        chosen = search.judge.plainest_of_all(trials, search.answers(accepted) or accepted)
         rounds.append(Contest(best, chosen, tuple(trials)))
         best = chosen
     search, best = _made_best(searches, search, search.leanest(best))

@@ -152,6 +152,20 @@ class Judge:
         as_good = [trial for trial in trials if weighed(trial) < lowest + _RULES.min_fall]
         return min(as_good, key=lambda trial: (len(trial.placed), trial.size, weighed(trial)))
 
+    def plainest_of_all(self, trials: Sequence[Judged], accepted: Sequence[Judged]) -> Judged:
+        """The plainest of the accepted models, or one with fewer parameters that is as good.
+
+        That the model before lacks something one accepted model shows. A plainer one as good, whose
+        errors fall by hardly less than two standard errors, must not leave its place to a wider.
+        """
+        chosen = self.plainest(accepted)
+        plainer = [
+            trial
+            for trial in trials
+            if trial.size < chosen.size and self.is_as_good(trial.runs, chosen.runs)
+        ]
+        return self.plainest([chosen, *plainer])
+
 
 def _further_parameters(placed: Placed) -> int:
     """Parameters of a law beyond the one of a simpler law that it contains; 0 without such."""

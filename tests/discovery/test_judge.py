@@ -140,6 +140,19 @@ def test_a_wider_law_is_better_by_so_much_for_each_further_parameter(fall, chose
     assert plainest.placed[0].effect.name == chosen
 
 
+@pytest.mark.parametrize(("rise", "chosen"), [(0.0, "coulomb_friction"),
+                                              (0.02, "stribeck_friction")])  # fmt: skip
+def test_a_plainer_law_that_is_as_good_is_not_passed_over(rise, chosen):
+    """Where only the wider one falls by more than two standard errors."""
+    plain, wide = (
+        trial(effects.CoulombFriction(), -5.0 + rise),
+        trial(effects.StribeckFriction(), -5.0),
+    )
+    judge = Judge((released(2, 15.0, 0.0),), 0.1, 4, 8)
+    assert judge.plainest_of_all([plain, wide], [wide]).placed[0].effect.name == chosen
+    assert judge.plainest_of_all([plain, wide], [plain]) is plain
+
+
 # -- a servo whose drive saturates ------------------------------------------------------------
 
 
