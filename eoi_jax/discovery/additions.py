@@ -50,6 +50,11 @@ def size_is_known(
     return any(sizes) or not sizes
 
 
+def has_size(placed: Placed, fit: Identification | Refinement) -> bool:
+    """`size_is_known` of an effect in a fit."""
+    return size_is_known(placed.names, fit.parameters, fit.standard_errors)
+
+
 def uncertain_effects(added: Sequence[Added]) -> list[str]:
     """Notes on effects of which every standard error exceeds half of its parameter."""
     labels = [addition.label for addition in added]

@@ -31,11 +31,7 @@ from eoi_jax.discovery.acceptance import (
     names_of,
     remaining_power,
 )
-from eoi_jax.discovery.additions import (
-    added_effect,
-    sensor_notes,
-    uncertain_effects,
-)
+from eoi_jax.discovery.additions import added_effect, has_size, sensor_notes, uncertain_effects
 from eoi_jax.discovery.confirm import beyond_noise, confirmed, holds
 from eoi_jax.discovery.curves import misses_a_law, with_curves
 from eoi_jax.discovery.diagnose import diagnose
@@ -51,13 +47,7 @@ from eoi_jax.discovery.parsimony import Wider, with_simpler_laws
 from eoi_jax.discovery.probability import Standing
 from eoi_jax.discovery.ranking import ranking
 from eoi_jax.discovery.refined import refined_answer
-from eoi_jax.discovery.refit import (
-    free_runs,
-    not_simulated,
-    on_bounds,
-    refitted,
-    runs_that_tell,
-)
+from eoi_jax.discovery.refit import free_runs, not_simulated, on_bounds, refitted, runs_that_tell
 from eoi_jax.discovery.remarks import (
     FREE_RUN,
     NO_FREE_RUN,
@@ -453,6 +443,10 @@ def _chosen(task: Task, steps: Sequence[Step], rounds: Sequence[Round], prior: F
         refit = refitted(task, model, notes)
         if not refit.status.ok:
             notes.append(FitNote(_REFIT_STATUS.format(refit.status)))
+        if unsized := [item for item in placed if not has_size(item, refit)]:
+            notes.append(_UNSIZED.format(labels_of(placed), share, labels_of(unsized)))
+            status = Status("unexplained", _NO_SIZE)
+            continue
         runs = free_runs(task, refit.plant)
         if judged(placed, share, residual_ratio, quiet) != verdict and not confirmed(prior, runs):
             break
@@ -560,6 +554,10 @@ _REFIT_STATUS = "the refit of the augmented model ended as {}"
 _AT_GRID_END = "{} is at the end of what was searched, {:.4g}: {} ones may do as well or better"
 _WIDER_LAW = "{} would take {:.1%} of the residual's power, and do no better in free runs"
 _NOT_SIMULATED = "the effects that fit the records cannot be confirmed: no free run has them"
+_NO_SIZE = "the records do not tell the size of the effects that fit them"
+_UNSIZED = (
+    "refused: {} takes {:.1%} of the residual's power, but the records do not tell how much {}"
+)
 _UNCHECKED = "refused: {} takes {:.1%} of the residual's power, but has no free run: {}"
 _REFUSED = "refused: {} makes the free run worse or diverge on the records of `validation`"
 

@@ -28,7 +28,7 @@ from functools import cached_property
 import numpy as np
 
 from eoi_jax.data.record import Record
-from eoi_jax.discovery.additions import size_is_known
+from eoi_jax.discovery.additions import has_size
 from eoi_jax.discovery.judge import (
     Judge,
     Judged,
@@ -304,10 +304,7 @@ class Search:
 
     def _of_unknown_size(self, model: Judged) -> list[Placed]:
         """Effects of a model of which the records do not tell the size."""
-        values, errors = model.refinement.parameters, model.refinement.standard_errors
-        return [
-            item for item in self.further(model) if not size_is_known(item.names, values, errors)
-        ]
+        return [item for item in self.further(model) if not has_size(item, model.refinement)]
 
     def further_forms(self, trials: Sequence[Judged]) -> list[Judged]:
         """The best model that has an effect of several forms, in the form that fits best."""

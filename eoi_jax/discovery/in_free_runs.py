@@ -13,7 +13,7 @@ from eoi_jax.discovery.acceptance import labels_of, names_of
 from eoi_jax.discovery.additions import (
     added_effect,
     as_fit,
-    size_is_known,
+    has_size,
     uncertain_effects,
 )
 from eoi_jax.discovery.confirm import beyond_noise
@@ -171,7 +171,7 @@ def unless_refined_is_better(discovery: Discovery, records: tuple[Record, ...]) 
     runs = [judge.runs(discovery.plant)] + ([named.runs] if named else [])
     plain, rival = search.base.runs, min(runs, key=mean_error)
     fit = named.refinement if named else discovery.found
-    known = all(size_is_known(at.names, fit.parameters, fit.standard_errors) for at in placed)
+    known = all(has_size(at, fit) for at in placed)
     if not (judge.prefers(plain, rival) or (not known and judge.is_as_good(plain, rival))):
         return discovery
     reason = _AS_GOOD.format(" and ".join(discovery.effects))

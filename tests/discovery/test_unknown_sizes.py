@@ -1,0 +1,45 @@
+"""A set that explains the injection is no answer where the records do not tell its size."""
+
+import jax.numpy as jnp
+import numpy as np
+from scipy.integrate import solve_ivp
+
+import eoi_jax as eoi
+
+H = 0.02
+NOMINAL = {"gain": 12.0, "stiffness": 40.0, "damping": 1.0}
+
+
+def swing(t, x, u, p):
+    return p.gain * u - p.stiffness * jnp.sin(x.y[0]) - p.damping * x.y[1]
+
+
+def record(draw: np.random.Generator, truth: dict, noise: float, samples: int) -> eoi.Record:
+    """Of a pendulum under steps of its drive, with noise and, by chance, a coarse sensor."""
+    each = int(draw.integers(8, 40))
+    u = np.repeat(draw.uniform(-2.0, 2.0, samples // each + 2), each)[:samples]
+
+    def rate(t, x):
+        drive = truth["gain"] * u[min(int(t / H + 1e-9), samples - 1)]
+        return x[1], drive - truth["stiffness"] * np.sin(x[0]) - truth["damping"] * x[1]
+
+    t = H * np.arange(samples)
+    y = solve_ivp(rate, (0.0, t[-1]), (0.0, 0.0), t_eval=t, max_step=H, rtol=1e-7).y[0]
+    y = y + noise * np.std(y) * draw.standard_normal(samples)
+    if draw.random() < 0.5:
+        step = np.std(y) / draw.uniform(10, 60)
+        y = np.round(y / step) * step
+    return eoi.Record(t, u, y, units={"y": "rad", "u": "V"})
+
+
+def test_short_noisy_records_of_a_right_model_name_nothing():
+    # A sinusoid near the cut-off and a ripple of unknown size took all of the injection.
+    draw = np.random.default_rng(18)
+    truth = {key: value * np.exp(draw.uniform(-0.4, 0.4)) for key, value in NOMINAL.items()}
+    draw.choice(["zero", "linear"])
+    noise = 10 ** draw.uniform(-2.3, -0.9)
+    samples, count = int(draw.integers(60, 320)), int(draw.integers(1, 4))
+    fit = [record(draw, truth, noise, samples) for _ in range(count)]
+    held = record(draw, truth, noise, int(draw.integers(60, 200)))
+    plant = eoi.Plant(swing, NOMINAL, 2, units={"y": "rad", "u": "V"})
+    assert eoi.discover(plant, fit, validation=held).effects == ()
