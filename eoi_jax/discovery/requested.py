@@ -4,7 +4,7 @@ from collections.abc import Sequence
 
 from eoi_jax._checks import check, check_choice, check_kind
 from eoi_jax.discovery.result import Discovery
-from eoi_jax.models.effects import Coupling, couplings, standard, wider
+from eoi_jax.models.effects import Coupling, couplings, on_request, standard, wider
 from eoi_jax.models.effects.effect import AbstractCascade, AbstractEffect
 from eoi_jax.models.placements import placements
 from eoi_jax.models.plant import Plant
@@ -16,7 +16,7 @@ def requested(
     """The effects by name or as objects; the standard ones for None."""
     if effects is None:
         return standard()
-    library = (*standard(), *wider(), *couplings(plant))
+    library = (*standard(), *wider(), *on_request(), *couplings(plant))
     check_kind("effects", effects, Sequence, "a list of names or effects")
     check(len(effects) > 0, "effects", "must name at least one effect", "none")
     chosen: list[AbstractEffect] = []

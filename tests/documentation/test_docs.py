@@ -3,6 +3,7 @@
 import ast
 import importlib
 import inspect
+import itertools
 import os
 import re
 import subprocess
@@ -258,7 +259,8 @@ def test_the_reference_names_every_verb_in_its_overview():
 def test_the_table_of_effects_is_that_of_the_library():
     text = (DOCS / "reference" / "effects.md").read_text().replace("\\|", "|")
     rare = eoi.effects.rare()
-    for one in (*eoi.effects.standard(), *rare, *eoi.effects.wider()):
+    library = eoi.effects.standard(), rare, eoi.effects.wider(), eoi.effects.on_request()
+    for one in itertools.chain(*library):
         remark = " (rare)" if one in rare else ""
         assert f"| `{one.name}`{remark} | {one.sentence} | `{printed(one)}` |" in text
 

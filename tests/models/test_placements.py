@@ -13,7 +13,8 @@ from eoi_jax.models.placements import place_text, placed_label, placements, posi
     ids=lambda plant: plant.name,
 )
 def test_no_two_candidates_are_called_the_same(plant: eoi.Plant):
-    candidates = (*effects.standard(), *effects.rare(), *effects.wider())
+    library = effects.standard(), effects.rare(), effects.wider(), effects.on_request()
+    candidates = [effect for part in library for effect in part]
     labels = [placed_label(plant, placed) for placed in placements(plant, candidates)]
     assert len(labels) > 20
     assert len(set(labels)) == len(labels)

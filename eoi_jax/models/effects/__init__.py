@@ -34,6 +34,7 @@ from eoi_jax.models.effects.inputs import InputQuadratic as InputQuadratic
 from eoi_jax.models.effects.inputs import InputRate as InputRate
 from eoi_jax.models.effects.inputs import InputSaturation as InputSaturation
 from eoi_jax.models.effects.inputs import InputYield as InputYield
+from eoi_jax.models.effects.library import on_request as on_request
 from eoi_jax.models.effects.library import rare as rare
 from eoi_jax.models.effects.library import standard as standard
 from eoi_jax.models.effects.library import wider as wider

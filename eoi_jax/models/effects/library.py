@@ -86,8 +86,7 @@ def wider() -> tuple[AbstractEffect, ...]:
 
     Products of signals, damping with the square of the displacement, a second store, a loss with a
     power of the output, radiation, a yield law, a limited control error, a response to the rate of
-    the input, a gain of an input that follows the past of an input (a fit goes on to a store that
-    both move), a lag of the sensor, cells in series (two; a fit goes on to 3, 6 and 12).
+    the input, a lag of the sensor, cells in series (two; a fit goes on to 3, 6 and 12).
 
     Returns:
         One object of each form.
@@ -108,7 +107,6 @@ def wider() -> tuple[AbstractEffect, ...]:
         InputYield(),
         ErrorSaturation(),
         InputRate(),
-        InputModulation(),
         SensorLag(),
         CellsInSeries(),
     )
@@ -124,3 +122,15 @@ def rare() -> tuple[AbstractEffect, ...]:
         One object of each form.
     """
     return (AsymmetricViscousFriction(),)
+
+
+def on_request() -> tuple[AbstractEffect, ...]:
+    """Effects that `discover` tries where they are asked for by name.
+
+    A gain of an input that follows the past of an input (a fit goes on to a store that both move):
+    of a rig with a lag it may stand in for most characteristics of an actuator.
+
+    Returns:
+        One object of each form.
+    """
+    return (InputModulation(),)

@@ -19,7 +19,10 @@ from eoi_jax.models.effects.effect import (
 )
 from eoi_jax.models.effects.products import ModulatedSinusoid, Product
 
-ALL = (*effects.standard(), *effects.rare(), *effects.wider(), effects.Drift(start=2.5))
+ALL = (
+    *effects.standard(), *effects.rare(), *effects.wider(), *effects.on_request(),
+    effects.Drift(start=2.5),
+)  # fmt: skip
 TERMS = [one for one in ALL if isinstance(one, AbstractTerm)]
 INPUTS = [one for one in ALL if isinstance(one, AbstractInputEffect)]
 INTERNAL = [one for one in ALL if isinstance(one, AbstractInternalEffect)]
