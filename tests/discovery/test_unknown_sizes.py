@@ -2,6 +2,7 @@
 
 import jax.numpy as jnp
 import numpy as np
+import pytest
 from scipy.integrate import solve_ivp
 
 import eoi_jax as eoi
@@ -32,6 +33,7 @@ def record(draw: np.random.Generator, truth: dict, noise: float, samples: int) -
     return eoi.Record(t, u, y, units={"y": "rad", "u": "V"})
 
 
+@pytest.mark.slow
 def test_short_noisy_records_of_a_right_model_name_nothing():
     # A sinusoid near the cut-off and a ripple of unknown size took all of the injection.
     draw = np.random.default_rng(18)
