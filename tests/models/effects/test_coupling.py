@@ -56,6 +56,7 @@ def test_every_coupling_acts_from_another_output():
     candidates = placements(masses, effects.couplings(masses))
     assert candidates
     for placed in candidates:
+        assert isinstance(placed.effect, effects.Coupling)
         channels = {signal.column for signal in placed.effect.signals if signal.row is not None}
         assert channels - {placed.channel}
     labels = [placed_label(masses, placed) for placed in candidates]
