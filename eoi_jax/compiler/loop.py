@@ -151,20 +151,22 @@ class AbstractLoop(abc.ABC):
 
     Attributes:
         lane: one lane.
+        step: what a step reads, one row.
         dtype: of all numbers.
         flags: names of the row's parts that are set in few rows only.
         branches: whether the code branches where `lax.cond` does, because it seldom goes there.
     """
 
     lane: Any
+    step: Any
     dtype: np.dtype
     flags: ClassVar[tuple[str, ...]] = ()
     branches: ClassVar[bool] = False
 
     @property
-    @abc.abstractmethod
     def row(self) -> Any:
         """One row."""
+        return self.step
 
     @property
     def by_block(self) -> bool:

@@ -93,11 +93,6 @@ class _StateLoop(AbstractLoop):
     dtype: np.dtype
 
     @property
-    def row(self) -> _Row:
-        """Signals that a step reads."""
-        return self.step
-
-    @property
     def fixed(self) -> Any:
         """The length of a step."""
         return jax.ShapeDtypeStruct((), self.dtype)

@@ -122,11 +122,6 @@ class _RowLoop(AbstractLoop):
     dtype: np.dtype
 
     @property
-    def row(self) -> _Row:
-        """The rows of one sample."""
-        return self.step
-
-    @property
     def fixed(self) -> _Fixed:
         """What all samples share."""
         return self.shared

@@ -69,11 +69,6 @@ class _Chain(AbstractLoop):
     branches: ClassVar[bool] = True  # a stop of dry friction is rare, and costs two steps
 
     @property
-    def row(self) -> _Row:
-        """What a step reads."""
-        return self.step
-
-    @property
     def fixed(self) -> tuple:
         """The plant and the length of a step."""
         return self.model, jax.ShapeDtypeStruct((), self.dtype)

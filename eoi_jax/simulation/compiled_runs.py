@@ -56,11 +56,6 @@ class _OneRun(AbstractLoop):
     branches: ClassVar[bool] = True
 
     @property
-    def row(self) -> RunRow:
-        """What a step reads of the record."""
-        return self.step
-
-    @property
     def fixed(self) -> tuple:
         """The plant, the lane, and the length of a step."""
         return self.kernel, self.run, jax.ShapeDtypeStruct((), self.dtype)
@@ -94,11 +89,6 @@ class _FreeRun(AbstractLoop):
     step: RunRow
     dtype: np.dtype
     branches: ClassVar[bool] = True  # a stop of dry friction is rare, and costs two steps
-
-    @property
-    def row(self) -> RunRow:
-        """What a step reads of the record."""
-        return self.step
 
     @property
     def fixed(self) -> tuple:

@@ -42,11 +42,6 @@ class Pass(AbstractLoop):
         return self.plant, self.lowpass, scalar, self.step.y, self.step.y_next
 
     @property
-    def row(self) -> Step:
-        """What a step reads of the record."""
-        return self.step
-
-    @property
     def by_block(self) -> bool:
         """Whether each lane has an emphasis."""
         return self.step.emphasis is not None

@@ -118,11 +118,6 @@ class _SinglePass(AbstractLoop):
     dtype: np.dtype
 
     @property
-    def row(self) -> Step:
-        """What a step reads of the record."""
-        return self.step
-
-    @property
     def fixed(self) -> tuple:
         """What all steps share: plant, F, gains, θ, h, and both ends of the first step."""
         scalar, step = jax.ShapeDtypeStruct((), self.dtype), self.step
