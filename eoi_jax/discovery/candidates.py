@@ -268,7 +268,8 @@ class _Term:
 
     def __call__(self, row: tuple, shape: Any, z: Any) -> Array:
         (t, y, v, u), (state, inputs), push = row
-        at, count = At(t, y, v, u, z, None, state, inputs), len(self.effect.gains)
+        at = At(t, y, v, u, z, state=state, inputs=inputs)
+        count = len(self.effect.gains)
         units = np.eye(count).tolist()
         terms = [jnp.asarray(self.effect.term(at, unit, shape)) * push for unit in units]
         return jnp.stack(terms)

@@ -240,11 +240,8 @@ def _signal(seen: Seen, placed: Placed) -> Float[np.ndarray, " samples"]:
 
 def _nearest_laws(model: Judged) -> list[str]:
     """A sentence for each curve that is nearly a law of the library."""
-    plant, runs, notes = (
-        model.refinement.plant,
-        LinearisedRuns.from_refinement(model.refinement),
-        [],
-    )
+    plant, notes = model.refinement.plant, []
+    runs = LinearisedRuns.from_refinement(model.refinement)
     for placed in model.placed:
         if not isinstance(placed.effect, Curve | InputCurve) or getattr(placed.effect, "times", ""):
             continue

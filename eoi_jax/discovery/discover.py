@@ -339,10 +339,10 @@ def _run(task: Task, rare_effects: Sequence[AbstractEffect], progress: Progress)
     if placements(task.plant, rare_effects):
         wider = replace(task, effects=(*task.effects, *rare_effects))
         rare_discovery = _answer(wider, *_searched(wider, progress, rounds[0]), runs_before())
-        named = any(added.effect in rare_effects for added in rare_discovery.added) and len(
-            rare_discovery.added
-        ) <= max(_RULES.rare_most, len(task.plant.outputs))
-        if named and rare_discovery.explained >= _RULES.rare_share:
+        effects = [added.effect for added in rare_discovery.added]
+        named = any(effect in rare_effects for effect in effects)
+        few = len(effects) <= max(_RULES.rare_most, len(task.plant.outputs))
+        if named and few and rare_discovery.explained >= _RULES.rare_share:
             return Searched(rare_discovery)
     partial = tuple(step[:2] for step in reversed(steps) if not not_simulated(step[0]))
     return Searched(discovery, partial, lambda: _lead(task, steps, rounds, runs_before()))
@@ -556,7 +556,7 @@ _WIDER_LAW = "{} would take {:.1%} of the residual's power, and do no better in 
 _NOT_SIMULATED = "the effects that fit the records cannot be confirmed: no free run has them"
 _NO_SIZE = "the records do not tell the size of the effects that fit them"
 _UNSIZED = (
-    "refused: {} takes {:.1%} of the residual's power, but the records do not tell how much {}"
+    "refused: {} takes {:.1%} of the residual's power, but the records do not tell the size of {}"
 )
 _UNCHECKED = "refused: {} takes {:.1%} of the residual's power, but has no free run: {}"
 _REFUSED = "refused: {} makes the free run worse or diverge on the records of `validation`"

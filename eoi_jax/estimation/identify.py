@@ -338,12 +338,11 @@ def estimate(
     notes += short_record_notes(prepared.records, lowpass.cutoff, _NOT_USED_FOR)
     notes += precision_notes()
     run = single_pass(plant, observer, filters, steps)
-    driver = _Driver(
-        plant, observer, run, steps, prepared.substeps, passes, callback, bias_correction, settings,
-        forgetting,
-    )  # fmt: skip
+    again = course is None and passes > 1 and prepared.follows(plant)
+    last_steps = (None, settings, None) if again else (bias_correction, settings, forgetting)
+    driver = _Driver(plant, observer, run, steps, prepared.substeps, passes, callback, *last_steps)
     fit = driver.run(prepared.records, lowpass, reasons, tuple(notes))
-    if course is None and passes > 1 and fit.status.fits and prepared.follows(plant):
+    if again and fit.status.fits:
         return estimate(plant, prepared, stated, passes, transient, callback, bias_correction,
                         settings, forgetting, fit.plant)  # fmt: skip
     return fit
