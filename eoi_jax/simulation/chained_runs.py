@@ -5,6 +5,7 @@ windows and the many short runs that initial states are fitted by share one prog
 number and length. What cannot be compiled is scanned (`integrator.chained`).
 """
 
+import functools
 from dataclasses import dataclass
 from typing import Any, ClassVar
 
@@ -156,34 +157,60 @@ def _shown(
     chunk: int,
 ) -> Float[np.ndarray, "runs steps shown"]:
     """What a chain shows after every step."""
-    code = _code(plant, starts, friction, shows)
+    code = _code(_Structure(plant), starts.z.shape[1], friction, shows)
     runs, steps = np.shape(drives.time)
-    time, inputs = np.ravel(drives.time), np.reshape(drives.inputs, (runs * steps, -1))
+    time, inputs = np.reshape(drives.time, (-1, 1)), np.reshape(drives.inputs, (runs * steps, -1))
     first = np.concatenate([starts.y.reshape(runs, -1), starts.z.reshape(runs, -1)], axis=1)
     width = len(plant.outputs) if shows == "outputs" else first.shape[1]
-    fixed = numbers((_Model(plant, friction), np.asarray(drives.step)[:1]), float)
+    fixed = numbers((plant, np.asarray(drives.step)[:1]), float)
     begun, parts = code.begin(np.zeros((1, 1)), fixed), []
-    following = np.reshape(drives.following, (runs * steps, -1)) if plant.has_algebraic else None
-    for at in range(0, runs * steps, chunk):
-        index = np.arange(at, min(at + chunk, runs * steps))
-        begins = (index % steps == 0)[:, None]
-        starts_by_row = begins * first[index // steps]
-        columns = [time[index, None], inputs[index], begins, starts_by_row]
-        columns += [] if following is None else [following[index]]
-        rows = np.concatenate(columns, axis=1)
-        (part,) = begun.outputs(rows, len(rows))
-        parts.append(part[:, :width].copy())  # not the whole vector
+    following = [np.reshape(drives.following, (len(time), -1))] if plant.has_algebraic else []
+    for at in range(0, len(time), chunk):
+        part = slice(at, min(at + chunk, len(time)))
+        begins = np.arange(-(-at // steps), -(-part.stop // steps))  # numbers of runs
+        starting = np.zeros((part.stop - at, 1 + first.shape[1]))
+        starting[begins * steps - at, 0], starting[begins * steps - at, 1:] = 1.0, first[begins]
+        columns = time[part], inputs[part], starting, *(column[part] for column in following)
+        (shown,) = begun.outputs(np.concatenate(columns, axis=1), part.stop - at)
+        parts.append(shown[:, :width].copy())  # not the whole vector
     return np.concatenate(parts).reshape(runs, steps, -1)
 
 
-def _code(plant: Plant, starts: State, friction: tuple[int, ...], shows: str) -> CompiledLoop:
-    dtype, zero = np.dtype(float), np.zeros(())
-    start = State(starts.y[0], starts.z[0])
+class _Structure:
+    """A plant as its programs see it: equal, and hashed alike, where one program serves both."""
+
+    def __init__(self, plant: Plant):
+        self.plant = plant
+        leaves, structure = jax.tree.flatten(plant)
+        kinds = [np.asarray(leaf) for leaf in leaves]
+        self._key = (
+            structure,
+            *(
+                (array.shape, array.dtype.kind) if array.dtype.kind in "fb" else array.tobytes()
+                for array in kinds
+            ),
+        )
+        self._hash = hash(self._key)
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, _Structure) and self._key == other._key
+
+    def __hash__(self) -> int:
+        return self._hash
+
+
+@functools.lru_cache(maxsize=16)
+def _code(
+    structure: _Structure, internal: int, friction: tuple[int, ...], shows: str
+) -> CompiledLoop:
+    """The compiled chain: looked up here by far less than its trees of shapes."""
+    plant, dtype, zero = structure.plant, np.dtype(float), np.zeros(())
+    start = State(np.zeros((plant.rows, len(plant.outputs))), np.zeros(internal))
     nu = len(plant.inputs)
     following = np.zeros(nu) if plant.has_algebraic else None
     row = _Row(zero, np.zeros((3, nu)), zero, start, following)
     model, lane, step = shapes_of((_Model(plant, friction), zero, row), dtype)
-    columns = 2 + 3 * nu + start.y.size + start.z.size + (nu if plant.has_algebraic else 0)
+    columns = 2 + 3 * nu + start.y.size + internal + (nu if plant.has_algebraic else 0)
     return compiled_loop(_Chain(model, lane, step, dtype, shows), columns, 1, True)
 
 

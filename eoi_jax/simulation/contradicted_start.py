@@ -55,7 +55,7 @@ def contradicted_start(
     values = initial_states(run, heads, y, valid, begins=begins) if values is None else values
     with np.errstate(all="ignore"):  # of a run that diverges
         declared_error, free_error = (
-            np.where(valid[i], y[i] - outputs_of(run.plant, heads, states_of(run.plant, starts),
+            np.where(valid[i], y[i] - outputs_of(run.plant, heads, states_of(run, starts),
                                                  run.friction)[i], 0.0)
             for starts in (values, free)
         )  # fmt: skip

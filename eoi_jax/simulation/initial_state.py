@@ -10,7 +10,6 @@ than all else.
 All runs are simulated side by side.
 """
 
-from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import NamedTuple
@@ -36,7 +35,7 @@ class InitialStateSettings:
     """Numbers of the least squares."""
 
     max_rounds: int = 20  # of Gauss-Newton; a linear plant needs one
-    trials: int = 5  # starts; and lengths of a step, each half of the one before, tried at once
+    trials: int = 5  # starts; and lengths of a step, each half of the one before
     difference: float = 1e-6  # step of derivatives, over the size of the variable
     min_reduction: float = 1e-5  # of the squared error, relative: less is 0.02 standard errors
     level: float = 0.005  # of significance, from which on internal states are fitted
@@ -53,6 +52,11 @@ class Run:
     plant: Plant
     friction: tuple[int, ...]
     substeps: int
+
+    @cached_property
+    def internal(self) -> int:
+        """Number of internal states."""
+        return len(self.plant.initial_internal)
 
 
 def initial_states(
@@ -169,7 +173,7 @@ def _with_internal(
 
     opened = np.zeros(len(measured), dtype=bool)
     first = int(np.sum(measured))
-    internal = slice(first, first + len(heads.run.plant.initial_internal))
+    internal = slice(first, first + heads.run.internal)
     opened[internal] = heads.run.plant.open_internal
     unknown = np.sum(opened)
     if heads.past is not None:
@@ -182,7 +186,7 @@ def _with_internal(
         moved, plant = np.array(starts), heads.run.plant
         # A difference from an output changes with the output, which starts as measured.
         with np.errstate(invalid="ignore", over="ignore"):  # of a run that diverges
-            risen = states_of(plant, values).y[:, 0] - carried.y[:, 0]
+            risen = states_of(heads.run, values).y[:, 0] - carried.y[:, 0]
             z = carried.z - risen @ slope_followers(plant).T
         usable = opened[internal] & np.all(np.isfinite(z), axis=1, keepdims=True)
         moved[..., internal] = np.where(usable[:, None], z[:, None], moved[..., internal])
@@ -207,14 +211,12 @@ class _Start(NamedTuple):
         cost: squared error over its first samples; infinite where the run diverges.
         values: of the unknowns, shape (unknowns,).
         error: over the first samples and the outputs, shape (rows,).
-        slopes: minus its derivatives with the free unknowns, shape (rows, free); None if not known.
     """
 
     run: int
     cost: float
     values: Float[np.ndarray, " unknowns"]
     error: Float[np.ndarray, " rows"]
-    slopes: Float[np.ndarray, "rows free"] | None = None
 
 
 def _descend(
@@ -235,39 +237,44 @@ def _descend(
     ]
 
     def linearise(points: list[_Start]) -> list[tuple[np.ndarray, float]]:
-        return [_step(point.error, slopes, free) for point, slopes in _slopes(heads, points, free)]
+        runs, values = _runs_and_values(points)
+        errors = np.stack([point.error for point in points])
+        slopes = heads.part(runs).slopes(values, errors, free)
+        return [_step(*pair, free) for pair in zip(errors, slopes, strict=True)]
 
     def evaluate(points: list[_Start], steps: list[np.ndarray]) -> list[list[_Start]]:
-        runs = np.asarray([point.run for point in points])
-        values = np.stack([point.values for point in points])
-        lengths = 0.5 ** np.arange(_SETTINGS.trials)[:, None]
-        trials = values[:, None] + np.stack(steps)[:, None] * lengths
-        costs, errors, slopes = heads.part(runs).errors_and_slopes(trials, free)
-        return [
-            [
-                _Start(run, costs[i, j], trials[i, j], errors[i, j], None if j else slopes[i])
-                for j in range(_SETTINGS.trials)
-            ]
-            for i, run in enumerate(runs)
-        ]
+        trials = _trials(heads, points, steps, np.ones(1))
+        risen = [i for i, (full,) in enumerate(trials) if not full.cost < points[i].cost]
+        if risen:  # only these look at shorter steps
+            lengths = 0.5 ** np.arange(1, _SETTINGS.trials)
+            again = [points[i] for i in risen], [steps[i] for i in risen]
+            for i, further in zip(risen, _trials(heads, *again, lengths), strict=True):
+                trials[i] += further
+        return trials
 
     limits = _SETTINGS.min_reduction, _SETTINGS.max_rounds
     ends = gauss_newton(points, linearise, evaluate, *limits).points
     return np.asarray([end.cost for end in ends]), np.stack([end.values for end in ends])
 
 
-def _slopes(
-    heads: "_Heads", points: list[_Start], free: Bool[np.ndarray, " unknowns"]
-) -> Iterable[tuple[_Start, np.ndarray]]:
-    """Points with their slopes; those that are not known are simulated side by side."""
-    missing = [point for point in points if point.slopes is None]
-    if missing:
-        runs = np.asarray([point.run for point in missing])
-        values = np.stack([point.values for point in missing])
-        errors = np.stack([point.error for point in missing])
-        simulated = iter(heads.part(runs).slopes(values, errors, free))
-    for point in points:
-        yield point, next(simulated) if point.slopes is None else point.slopes
+def _trials(
+    heads: "_Heads",
+    points: list[_Start],
+    steps: list[np.ndarray],
+    lengths: Float[np.ndarray, " lengths"],
+) -> list[list[_Start]]:
+    """Points at shares of a step from each of some points; simulated side by side."""
+    runs, values = _runs_and_values(points)
+    trials = values[:, None] + np.stack(steps)[:, None] * lengths[:, None]
+    costs, errors = heads.part(runs).errors(trials)
+    return [
+        [_Start(run, *trial) for trial in zip(*parts, strict=True)]
+        for run, *parts in zip(runs, costs, trials, errors, strict=True)
+    ]
+
+
+def _runs_and_values(points: list[_Start]) -> tuple[Int[np.ndarray, " points"], Starts]:
+    return np.asarray([point.run for point in points]), np.stack([point.values for point in points])
 
 
 def _step(
@@ -338,28 +345,14 @@ class _Heads:
         By differences: a derivative of the simulation would take longer to compile than all else.
         """
         _, errors = self.errors(self._moved(values, free))
-        return self._slopes(values, error, errors, free)
-
-    def errors_and_slopes(
-        self, trials: Trials, free: np.ndarray
-    ) -> tuple[np.ndarray, Float[np.ndarray, "runs trials rows"], np.ndarray]:
-        """`errors` of all trials, and in the same call the slopes at the first of each run."""
-        first, count = trials[:, 0], trials.shape[1]
-        costs, errors = self.errors(np.concatenate([trials, self._moved(first, free)], axis=1))
-        slopes = self._slopes(first, errors[:, 0], errors[:, count:], free)
-        return costs[:, :count], errors[:, :count], slopes
-
-    def _moved(self, values: Starts, free: np.ndarray) -> Trials:
-        return values[:, None] + np.eye(values.shape[1])[free] * self._small(values)[:, None]
-
-    def _slopes(
-        self, values: Starts, error: np.ndarray, errors: np.ndarray, free: np.ndarray
-    ) -> Float[np.ndarray, "runs rows free"]:
         with np.errstate(over="ignore", invalid="ignore"):
             slopes = np.moveaxis(error[:, None] - errors, 1, 2) / self._small(values)[:, None, free]
         if self.fixed is None:
             return slopes
         return np.where(np.isfinite(self.fixed)[:, None, free], 0.0, slopes)  # stays where it is
+
+    def _moved(self, values: Starts, free: np.ndarray) -> Trials:
+        return values[:, None] + np.eye(values.shape[1])[free] * self._small(values)[:, None]
 
     def _small(self, values: Starts) -> Starts:
         """Steps of the differences: a small share of what each initial value is measured by."""
@@ -383,7 +376,7 @@ class _Heads:
         run = self.run
         lanes = values.reshape(-1, values.shape[-1])
         owner = np.repeat(np.arange(len(values)), values.shape[1])
-        starts, driving = states_of(run.plant, lanes), self._driving(owner)
+        starts, driving = states_of(run, lanes), self._driving(owner)
         if self.past is not None:
             driving = with_past(driving, self.past[owner], lanes)
         outputs = outputs_of(run.plant, driving, starts, run.friction)
@@ -451,12 +444,13 @@ def known_starts(
     return fixed
 
 
-def states_of(plant: Plant, values: Starts) -> State:
+def states_of(run: Run, values: Starts) -> State:
     """States of which `values` are the unknowns: outputs and derivatives, then z."""
+    plant = run.plant
     rows, columns = owned(plant)
     y = np.zeros((len(values), plant.rows, len(plant.outputs)))
     y[:, rows, columns] = values[:, : len(rows)]
-    z = np.array(values[:, len(rows) : len(rows) + len(plant.initial_internal)])
+    z = np.array(values[:, len(rows) : len(rows) + run.internal])
     places, leaders, weights = proportional_starts(plant.internal_initial, z.shape[1])
     z[:, places] = weights * z[:, leaders]
     return State(y, z)

@@ -91,7 +91,7 @@ def _outputs(
     run: Run, course: _Along, runs: Plan, values: Starts
 ) -> Float[np.ndarray, "runs time ny"]:
     drives = course.drives(runs.starts, runs.steps, values)
-    return outputs_of(run.plant, drives, states_of(run.plant, values), run.friction)
+    return outputs_of(run.plant, drives, states_of(run, values), run.friction)
 
 
 def _chosen(
@@ -136,7 +136,7 @@ def _carried(
     first = runs.starts[:1]
     values = initial_states(run, *course.heads(first, runs.steps + 1), begins[:1])
     drives = course.drives(first, runs.starts[-1] - first[0], values)
-    x = states_along(run.plant, drives, states_of(run.plant, values), run.friction)
+    x = states_along(run.plant, drives, states_of(run, values), run.friction)
     steps = run.substeps * (np.asarray(runs.starts) - first[0])
     return State(x.y[0, steps], x.z[0, steps])
 

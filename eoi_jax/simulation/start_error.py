@@ -116,7 +116,7 @@ def _begun(run: Run, part: Record, head: int, begins: bool) -> _Begun:
     first = _lanes(run_drive, 1, run.substeps * (head - 1))
     y, valid = part.outputs[:head], part.output_valid[:head]
     values = initial_states(run, first, y[None], valid[None], begins=np.asarray([begins]))
-    outputs = outputs_of(run.plant, first, states_of(run.plant, values), run.friction)[0]
+    outputs = outputs_of(run.plant, first, states_of(run, values), run.friction)[0]
     degrees = np.maximum(np.sum(valid, axis=0) - run.plant.rows, 1)
     with np.errstate(all="ignore"):  # of a run that diverges
         squares = np.sum(np.where(valid, y - outputs, 0.0) ** 2, axis=0)
@@ -138,7 +138,7 @@ def _slopes(
         steps = np.where(np.isfinite(fixed[0, : len(steps)]), 0.0, steps)
     moved[1:, : len(steps)] += np.diag(steps)
     driving = _lanes(begun.drive, len(moved), len(begun.drive.time))
-    outputs = outputs_of(run.plant, driving, states_of(run.plant, moved), run.friction)
+    outputs = outputs_of(run.plant, driving, states_of(run, moved), run.friction)
     with np.errstate(all="ignore"):  # of a run that diverges
         change = np.moveaxis(outputs[1:] - outputs[0], 0, -1) / _SETTINGS.difference
         change = change / spread[:, None]
