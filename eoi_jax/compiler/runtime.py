@@ -68,28 +68,42 @@ class CompiledLoop:
             lanes: numbers of each, in the order of the loop's `lane`.
             fixed: what all lanes and rows share, in the order of the loop's `fixed`.
         """
+        return self.begin_each(lanes, fixed[None])[0]
+
+    def begin_each(
+        self, lanes: Float[np.ndarray, "numbers lanes"], fixed: Float[np.ndarray, "runs shared"]
+    ) -> list["Run"]:
+        """Several runs before their first rows, with what is fixed in each; else as `begin`."""
         program, where, dtype = self.program, self.where, self.dtype
-        groups, count = {"lane": lanes, "fixed": fixed}, lanes.shape[1]
+        runs, count = len(fixed), lanes.shape[1]
+        groups = {"lane": lanes[:, None], "fixed": fixed.T[..., None]}
 
-        def values(nodes: Sequence[Node]) -> list[Any]:
-            return evaluate(nodes, lambda place: groups[place[0]][place[1]], dtype)
+        def values(nodes: Sequence[Node], lanes: int) -> Float[np.ndarray, "runs nodes lanes"]:
+            found = evaluate(nodes, lambda place: groups[place[0]][place[1]], dtype)
+            table = np.empty((len(nodes), runs, lanes), dtype)
+            for row, value in zip(table, found, strict=True):
+                row[...] = value
+            return np.ascontiguousarray(np.moveaxis(table, 0, 1))
 
-        carries = values([program.initial[i] for i in program.lane_carries])
-        constants = values(program.lane_constants)
-        rows = _table([*carries, *constants], count, dtype)
+        carries = values([program.initial[i] for i in program.lane_carries], count)
+        constants = values(program.lane_constants, count)
+        spoilt = np.any(np.isnan(constants), axis=1)
+        rows = np.concatenate([carries, constants], axis=1)
+        # Never empty: they have an address.
+        ends = (0, 0), (0, 1)
+        shared = np.pad(values(program.fixed, 1)[..., 0], ends)
+        first = [program.initial[i] for i in program.shared_carries]
+        scalars = np.pad(values(first, 1)[..., 0], ends)
         vectors = -(-count // where.width)
         # Beyond the last lane it is repeated: any numbers do, but these cost no slow path.
         padding = np.minimum(np.arange(vectors * where.width), count - 1)
-        memory = _aligned((vectors, where.rows, where.width), dtype)
-        lines = rows[:, padding].reshape(len(rows), vectors, where.width)
-        memory[:, : len(rows)] = np.moveaxis(lines, 0, 1)
-        # Never empty: they have an address.
-        scalars = [program.initial[i] for i in program.shared_carries]
-        fixed, carried = (
-            np.array([*values(part), 0.0], dtype) for part in (program.fixed, scalars)
-        )
-        spoilt = np.any(np.isnan(rows[len(carries) :]), axis=0)
-        return Run(self, count, fixed, carried, memory, spoilt, padding)
+        lines = rows[..., padding].reshape(*rows.shape[:2], vectors, where.width)
+        begun = []
+        for run in range(runs):
+            memory = _aligned((vectors, where.rows, where.width), dtype)
+            memory[:, : rows.shape[1]] = np.moveaxis(lines[run], 0, 1)
+            begun.append(Run(self, count, shared[run], scalars[run], memory, spoilt[run], padding))
+        return begun
 
 
 @cached_translation
@@ -280,14 +294,6 @@ def numbers(tree: Any, dtype: Any, skip: int = 0) -> np.ndarray:
         if array.dtype.kind in "fb"
     ]
     return np.concatenate(flat, axis=-1)
-
-
-def _table(values: Sequence[Any], count: int, dtype: Any) -> np.ndarray:
-    """A row for each value, shape (values, count): it is a number, or has one for each lane."""
-    table = np.empty((len(values), count), dtype)
-    for row, value in zip(table, values, strict=True):
-        row[...] = value
-    return table
 
 
 def _aligned(shape: tuple[int, ...], dtype: Any, line: int = 64) -> np.ndarray:

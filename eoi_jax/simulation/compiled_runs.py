@@ -245,16 +245,16 @@ class _OneLane:
         settings: RunSettings = RunSettings(),
     ):
         self._threshold, self._chunk = np.asarray(lane.threshold)[0], settings.chunk
-        # In the order of the loop's `fixed`: plant and lane; the length of a step follows.
-        self._plant = numbers(kernel, float)
-        self._lane = [np.asarray(leaf, float)[0] for leaf in jax.tree.leaves(lane)]
-        self._tables, self._steps, self._counts = tables, steps, counts
+        self._tables, self._counts = tables, counts
+        # In the order of the loop's `fixed`: plant, lane and the length of a step.
+        runs, plant = len(tables), numbers(kernel, float)
+        parts = [np.asarray(leaf, float)[0].reshape(runs, -1) for leaf in jax.tree.leaves(lane)]
+        plants = np.broadcast_to(plant, (runs, len(plant)))
+        fixed = np.concatenate([plants, *parts, np.reshape(steps, (runs, 1))], axis=1)
         start_size = lane.start.shape[2]
         directions = kernel.directions(start_size)
-        self._code, self._directions = (
-            _one_run(kernel, start_size),
-            numbers(directions, float, skip=1).T,
-        )
+        self._code = _one_run(kernel, start_size)
+        self._begun = self._code.begin_each(numbers(directions, float, skip=1).T, fixed)
         self.size = len(directions.theta) + 1
 
     def map_runs(self, job: Callable[[int], Any]) -> list[Any]:
@@ -279,13 +279,8 @@ class _OneLane:
 
     def blocks(self, run: int, substeps: int) -> Iterator[list[Float[np.ndarray, "samples size"]]]:
         """c of some samples after the other, the error first: views of what is written over."""
-        lane = [leaf[run].ravel() for leaf in self._lane]
-        fixed = np.concatenate([self._plant, *lane, self._steps[run : run + 1]])
         rows = np.ascontiguousarray(self._tables[run, : self._counts[run]], float)
-        begun, count = (
-            self._code.begin(self._directions, fixed),
-            max(self._chunk // substeps, 1) * substeps,
-        )
+        begun, count = self._begun[run], max(self._chunk // substeps, 1) * substeps
         first = [place.start for place in self._code.outputs[::2]]
         for outputs in begun.outputs(rows, count):
             yield [outputs[::substeps, at : at + self.size] for at in first]
