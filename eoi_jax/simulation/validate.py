@@ -54,6 +54,7 @@ from eoi_jax.simulation.planned_runs import planned_runs
 from eoi_jax.simulation.simulate import acted, drive, past_slopes
 from eoi_jax.simulation.start_error import sufficient_starts
 from eoi_jax.simulation.step_size import (
+    RULES,
     StepChange,
     StepChoice,
     choose_steps,
@@ -501,6 +502,11 @@ class _Prediction:
         counts = [mask[use] for mask, use in zip(masks, keep, strict=True)]
         return np.concatenate(y), np.concatenate(y_hat), np.concatenate(counts)
 
+    def diverges(self, records: Sequence[Record]) -> bool:
+        """Whether outputs that count leave the finite numbers."""
+        _, outputs, counts = self.samples(records)
+        return not np.all(np.isfinite(outputs) | ~counts)
+
     def change_to(self, finer: "_Prediction", records: Sequence[Record]) -> StepChange:
         """By how much shorter steps change the outputs, their residual, and what was measured."""
         (y, coarse, counts), (_, fine, _) = self.samples(records), finer.samples(records)
@@ -511,20 +517,29 @@ class _Prediction:
 def _halved(
     prediction: _Prediction, run: Run, records: Sequence[Record], pieces: Sequence[_Piece]
 ) -> _Prediction:
-    """The runs with the longest steps that half as long ones, from the same states, agree with."""
-    predictions = {run.substeps: prediction}
+    """The runs with the longest steps that half as long ones, from the same states, agree with.
+
+    Runs that diverge, in far shorter steps from the same states as well, stay as they are: to
+    estimate their states anew for each length of a step would take longest where it helps least.
+    """
+    predictions, limit = {run.substeps: prediction}, finest_steps(records)
 
     def with_steps(count: int) -> _Prediction:
         if count not in predictions:
             predictions[count] = _Prediction.of(replace(run, substeps=count), records, pieces)
         return predictions[count]
 
-    def change(count: int) -> StepChange:
-        coarse, halved = with_steps(count), replace(run, substeps=2 * count)
-        fine = _Prediction.of(halved, records, pieces, coarse.starts)
-        return coarse.change_to(fine, records)
+    def finer(coarse: _Prediction, count: int) -> _Prediction:
+        return _Prediction.of(replace(run, substeps=count), records, pieces, coarse.starts)
 
-    return with_steps(settled_steps(run.substeps, finest_steps(records), change)[0])
+    def change(count: int) -> StepChange:
+        coarse = with_steps(count)
+        return coarse.change_to(finer(coarse, 2 * count), records)
+
+    shortest = min(2 ** (RULES.halvings + 1) * run.substeps, limit)
+    if prediction.diverges(records) and finer(prediction, shortest).diverges(records):
+        return prediction
+    return with_steps(settled_steps(run.substeps, limit, change)[0])
 
 
 def _predict(run: Run, piece: _Piece, values: Starts | None) -> tuple[Samples, Starts, list[str]]:

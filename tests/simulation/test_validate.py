@@ -17,6 +17,7 @@ from eoi_jax.models.library import (
     pendulum,
     three_mass_spring_damper,
 )
+from eoi_jax.simulation import planned_runs
 from eoi_jax.simulation.initial_state import _descend, _Heads
 from eoi_jax.simulation.simulate import simulate
 from eoi_jax.simulation.validate import _record, validate
@@ -304,6 +305,21 @@ def test_a_step_that_does_not_help_is_not_taken():
     cost, values = _descend(heads, start, np.array([True]))
     np.testing.assert_array_equal(values, start[:, 0])
     np.testing.assert_array_equal(cost, heads.errors(start)[0][:, 0])
+
+
+def test_starts_of_runs_that_diverge_in_any_steps_are_estimated_once(monkeypatch):
+    estimated, estimate = [], planned_runs.window_starts
+
+    def counted(*args):
+        estimated.append(args[0].substeps)
+        return estimate(*args)
+
+    monkeypatch.setattr(planned_runs, "window_starts", counted)
+    escape = Plant(lambda t, x, u, p: p.a * x.y[0] ** 3 + u, {"a": 30.0})
+    record = Record(TIME, np.zeros(1001), 1.0 + 0.1 * np.sin(TIME), "calm", hold="zero")
+    result = validate(escape, record, window=np.inf)
+    assert np.all(np.isinf(result.rmse))
+    assert len(estimated) == 1
 
 
 def test_a_diverged_prediction_is_shown_within_a_thousand_ranges_of_the_measurement():
