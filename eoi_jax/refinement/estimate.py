@@ -22,7 +22,11 @@ from eoi_jax.refinement.spans import FEWEST_STEPS, Span
 
 
 def refinement_of(
-    fit: Fit, records: Sequence[Record], spans: Sequence[Span], window: float | None
+    fit: Fit,
+    records: Sequence[Record],
+    spans: Sequence[Span],
+    window: float | None,
+    is_trial: bool = False,
 ) -> Refinement:
     """What `refine` returns.
 
@@ -31,6 +35,7 @@ def refinement_of(
         records: as given.
         spans: runs on them.
         window: length of the runs [s].
+        is_trial: whether nobody asks which common factors leave parameters open.
     """
     problem, nominal = fit.problem, fit.problem.kernel.plant
     theta = problem.completed(fit.outcome.unknowns.theta)
@@ -39,7 +44,7 @@ def refinement_of(
     bound = [name for i, name in enumerate(plant.names) if i in problem.free
              and theta[i] in (plant.lower[i], plant.upper[i])]  # fmt: skip
     certainty = _certainty(fit, plant, bound, spans)
-    factors = common_factors(nominal) if certainty.lost else ()
+    factors = common_factors(nominal) if certainty.lost and not is_trial else ()
     errors = np.sqrt(np.diagonal(certainty.covariance))
     if fit.differentiable:
         within_bounds = np.asarray([float(name not in bound) for name in plant.names]) * plant.free

@@ -262,7 +262,8 @@ def refine_once(
         max_steps: of the solver.
 
     Returns:
-        Its status is ``"diverged"`` where the runs at the start are not finite.
+        Its status is ``"diverged"`` where the runs at the start are not finite. Where parameters
+        stay open it says which, and not what they have in common: that takes as long as the fit.
     """
     spans = spans_of(records, window)
     window = used_window(records, spans, window)
@@ -274,7 +275,7 @@ def refine_once(
     spread = 1.0 / np.asarray(problem.scale)
     if not fit.differentiable or np.any(rms(fit.error, fit.use) > _SETTINGS.lost * spread):
         return unanswered(plant, records, window, Status("diverged", DIVERGED))
-    return refinement_of(fit, records, spans, window)
+    return refinement_of(fit, records, spans, window, is_trial=True)
 
 
 @dataclass(frozen=True)

@@ -506,6 +506,17 @@ def test_a_single_fit_says_where_its_runs_diverge():
     assert refine_once(unstable, (record,), None).status.code == "diverged"
 
 
+def test_a_single_fit_says_what_stays_open_without_looking_for_common_factors():
+    record = measured(1)
+    product = eoi.Plant(
+        lambda t, x, u, p: p.a * (p.b * u - x.y[0]), {"a": 0.1, "b": 1.0, "c": 1.0}, 1,
+        ("voltage",), ("temperature",), units={"voltage": "V", "temperature": "K"},
+    )  # fmt: skip
+    fit = refine_once(product, (record,), None)
+    assert (fit.status.code, fit.common_factors) == ("unidentifiable", ())
+    assert "no trace in the outputs of c" in fit.status.message
+
+
 def test_the_score_test_tries_a_store_beside_a_parameter():
     refined = refine_once(PLATE, (measured(1),), None)
     ranked = remaining(refined, [effects.SecondNode(), effects.ConstantOffset()])
