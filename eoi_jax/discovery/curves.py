@@ -113,7 +113,8 @@ def _with_best_curve(search: Search, named: Judged, explained: bool) -> Judged:
         best = search.judge.plainest(trials)
         better = _is_far_better(best, named) or _replaces_sum(best, named)
         left = beyond_noise(best.runs[1], search.judge.records)
-        if _crowded(named.placed) or (better and left):
+        near = best.error < named.error + np.log(_RULES.finer)
+        if (_crowded(named.placed) and near) or (better and left):
             best = _finest(search, best)
             better = _is_far_better(best, named) or _replaces_sum(best, named)
         if better and search.judge.prefers(best.runs, origin.runs):

@@ -300,6 +300,7 @@ class CurveRules:
         sure: share that is enough in any case: where errors are large a linear test says little.
         remainder: power that it may leave there, over that of the best one.
         several: effects, an offset apart, in whose place a curve comes that is as good.
+        finer: factor of their error within which a curve must be for points in between to be tried.
         as_good: difference of mean logarithms of errors that counts as none.
         likeness: share of a curve that a law must give to be named beside it.
         tie: difference of such shares at which the law with fewest parameters is named.
@@ -315,6 +316,7 @@ class CurveRules:
     sure: float = 0.6
     remainder: float = 5.0
     several: int = 3
+    finer: float = 2.0
     as_good: float = 0.03
     likeness: float = 0.9
     tie: float = 0.05
