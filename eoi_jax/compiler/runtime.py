@@ -78,22 +78,22 @@ class CompiledLoop:
         runs, count = len(fixed), lanes.shape[1]
         groups = {"lane": lanes[:, None], "fixed": fixed.T[..., None]}
 
-        def values(nodes: Sequence[Node], lanes: int) -> Float[np.ndarray, "runs nodes lanes"]:
+        def values(
+            nodes: Sequence[Node], lanes: int, spare: int = 0
+        ) -> Float[np.ndarray, "runs nodes lanes"]:
+            table = np.zeros((runs, len(nodes) + spare, lanes), dtype)
             found = evaluate(nodes, lambda place: groups[place[0]][place[1]], dtype)
-            table = np.empty((len(nodes), runs, lanes), dtype)
-            for row, value in zip(table, found, strict=True):
-                row[...] = value
-            return np.ascontiguousarray(np.moveaxis(table, 0, 1))
+            for i, value in enumerate(found):
+                table[:, i] = value
+            return table
 
         carries = values([program.initial[i] for i in program.lane_carries], count)
         constants = values(program.lane_constants, count)
         spoilt = np.any(np.isnan(constants), axis=1)
         rows = np.concatenate([carries, constants], axis=1)
         # Never empty: they have an address.
-        ends = (0, 0), (0, 1)
-        shared = np.pad(values(program.fixed, 1)[..., 0], ends)
-        first = [program.initial[i] for i in program.shared_carries]
-        scalars = np.pad(values(first, 1)[..., 0], ends)
+        shared = values(program.fixed, 1, spare=1)[..., 0]
+        scalars = values([program.initial[i] for i in program.shared_carries], 1, spare=1)[..., 0]
         vectors = -(-count // where.width)
         # Beyond the last lane it is repeated: any numbers do, but these cost no slow path.
         padding = np.minimum(np.arange(vectors * where.width), count - 1)

@@ -20,17 +20,18 @@ class DrivenInputs(eqx.Module):
 
     Attributes:
         inputs: at the start, the middle and the end of each step.
-        slope: with θ.
+        slope: with the parameters that may move them.
         past: with the levels before the record, of the first run of each segment; zero for others.
     """
 
     inputs: Float[Host, "runs rows 3 nu"]
-    slope: Float[Host, "runs rows 3 nu np"]
+    slope: Float[Host, "runs rows 3 nu acting"]
     past: Float[Host, "runs rows 3 nu nu"]
 
 
 def driven_inputs(
     plant: Plant,
+    acting: Sequence[int],
     theta: Array,
     record_drives: Sequence[Drive],
     levels: Host,
@@ -41,6 +42,7 @@ def driven_inputs(
 
     Args:
         plant: with actuators; its own parameter values are not used.
+        acting: numbers of the parameters with which derivatives are taken.
         theta: all parameters.
         record_drives: what drives each segment.
         levels: of the inputs before each segment, less their first values, (segments, nu).
@@ -59,11 +61,13 @@ def driven_inputs(
     inputs, slope = _with_slope(lambda theta: inputs_of_all(theta, levels), theta)
     past = jax.jacfwd(with_one_level)(levels[0])[places]
     leads = jnp.zeros(len(past)).at[leaders].set(1.0)
+    slope = slope[..., np.asarray(acting, int)]
     return DrivenInputs(inputs[places], slope[places], leads[:, None, None, None, None] * past)
 
 
 def driven_on_host(
     plant: Plant,
+    acting: Sequence[int],
     theta: Float[np.ndarray, " np"],
     record_drives: Sequence[Drive],
     levels: Float[np.ndarray, "segments nu"],
@@ -83,21 +87,20 @@ def driven_on_host(
         )
 
     inputs = inputs_of_all(theta, levels)
-    slope = np.zeros((*inputs.shape, len(theta)))
-    for name in plant.actuator.shapes:  # pyright: ignore[reportOptionalMemberAccess]
-        i = plant.names.index(name)
+    slope = np.empty((*inputs.shape, len(acting)))
+    for column, i in enumerate(acting):
 
         def moved(value: float, i: int = i) -> np.ndarray:
             return inputs_of_all(_with(theta, i, value), levels)
 
-        slope[..., i] = _difference(moved, theta[i], record_drives)
+        slope[..., column] = _difference(moved, theta[i], record_drives)
     settled = np.zeros_like(levels)
     unmoved = inputs_of_all(theta, settled)
-    past = np.stack([inputs_of_all(theta, _with(settled, (slice(None), j), 1.0)) - unmoved
-                     for j in range(levels.shape[1])], axis=-1)[places]  # fmt: skip
-    leads = np.zeros(len(past))
-    leads[leaders] = 1.0
-    return DrivenInputs(inputs[places], slope[places], leads[:, None, None, None, None] * past)
+    risen = np.stack([inputs_of_all(theta, _with(settled, (slice(None), j), 1.0)) - unmoved
+                      for j in range(levels.shape[1])], axis=-1)  # fmt: skip
+    past = np.zeros((*places.shape, *risen.shape[1:]))
+    past[leaders] = risen[places[leaders]]
+    return DrivenInputs(inputs[places], slope[places], past)
 
 
 def _with(array: np.ndarray, place: Any, value: Any) -> np.ndarray:

@@ -349,13 +349,15 @@ def driven(problem: Problem, theta: Host, starts: Host) -> DrivenInputs:
 
 
 def _driven(problem: Problem, theta: Host, levels: Host) -> DrivenInputs:
-    plant, drives = problem.kernel.plant, problem.record_drives
+    kernel, drives = problem.kernel, problem.record_drives
     if problem.compiled:
         places = np.asarray(problem.places)
         host = np.asarray(theta), drives, np.asarray(levels), places, np.asarray(problem.leaders)
-        return driven_on_host(plant, *host)
-    places = jnp.asarray(problem.places)
-    return driven_inputs(plant, jnp.asarray(theta), drives, levels, places, problem.leaders)
+        return driven_on_host(kernel.plant, kernel.acting, *host)
+    places, theta = jnp.asarray(problem.places), jnp.asarray(theta)
+    return driven_inputs(
+        kernel.plant, kernel.acting, theta, drives, levels, places, problem.leaders
+    )
 
 
 class Outcome(eqx.Module):

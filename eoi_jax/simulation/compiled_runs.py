@@ -289,7 +289,8 @@ class _OneLane:
 def _one_run(kernel: RunKernel, start_size: int) -> CompiledLoop:
     dtype, plant = np.dtype(float), kernel.plant
     nu, ny = len(plant.inputs), len(plant.outputs)
-    run, step = _shapes(len(plant.names), start_size, nu, ny, plant.actuator is not None)
+    acting = None if plant.actuator is None else len(kernel.acting)
+    run, step = _shapes(len(plant.names), start_size, nu, ny, acting)
     directions = kernel.directions(start_size)
     lane = shapes_of(directions, dtype, skip=1)
     loop = _OneRun(shapes_of(kernel, dtype), lane, run, step, dtype)
@@ -311,14 +312,14 @@ def _code(
 
 @functools.cache
 def _shapes(
-    size: int, start_size: int, nu: int, ny: int, acting: bool = False
+    size: int, start_size: int, nu: int, ny: int, acting: int | None = None
 ) -> tuple[RunLane, RunRow]:
-    """Of a lane and a row; with the derivatives of its inputs behind actuators."""
+    """Of a lane and a row; behind actuators inputs have derivatives with so many parameters."""
     scalar = np.zeros(())
     lane = RunLane(np.zeros(size), np.zeros(start_size), scalar, np.zeros(ny), scalar)
     row = RunRow(scalar, np.zeros((3, nu)), np.zeros(ny), np.zeros(ny))
-    if acting:
-        row = replace(row, slope=np.zeros((3, nu, size)), past=np.zeros((3, nu, nu)))
+    if acting is not None:
+        row = replace(row, slope=np.zeros((3, nu, acting)), past=np.zeros((3, nu, nu)))
     return shapes_of((lane, row), np.dtype(float))
 
 

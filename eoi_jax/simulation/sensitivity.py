@@ -60,7 +60,8 @@ class RunRow(eqx.Module):
         inputs: at its start, middle and end, shape (3, nu).
         y: outputs at its start, anything finite where not scored.
         use: 1 where scored, 0 where not; shape (ny,).
-        slope: derivatives of the inputs with θ at the lane's own, behind actuators; else None.
+        slope: derivatives of the inputs with `RunKernel.acting` at the lane's own values, behind
+            actuators; else None.
         past: derivatives of the inputs with their levels before the record; likewise.
     """
 
@@ -68,7 +69,7 @@ class RunRow(eqx.Module):
     inputs: Float[Host, "*steps 3 nu"]
     y: Float[Host, "*steps ny"]
     use: Float[Host, "*steps ny"]
-    slope: Float[Host, "*steps 3 nu np"] | None = None
+    slope: Float[Host, "*steps 3 nu acting"] | None = None
     past: Float[Host, "*steps 3 nu nu"] | None = None
 
 
@@ -109,6 +110,12 @@ class RunKernel(eqx.Module):
     rows: tuple[int, ...] = eqx.field(static=True)
     columns: tuple[int, ...] = eqx.field(static=True)
     store: str = eqx.field(static=True)
+
+    @property
+    def acting(self) -> tuple[int, ...]:
+        """Numbers of the unknown parameters that may move the inputs behind actuators."""
+        shapes = getattr(self.plant.actuator, "shapes", None)  # None: of an actuator of the user's
+        return tuple(i for i in self.free if shapes is None or self.plant.names[i] in shapes)
 
     def start(self, values: Host, theta: Host, declared: Any) -> State:
         """Initial state from its unknowns; internal states by the plant where it declares them."""
@@ -193,7 +200,7 @@ class RunKernel(eqx.Module):
         def flow(x: State, moved: Array, inputs: Array) -> State:
             return advanced(self.plant, moved, time, h, inputs, x, self.friction)
 
-        change = None if row.slope is None else _input_change(row, direction)
+        change = None if row.slope is None else self._input_change(row, direction)
         return _derived(flow, (x, theta, u), slope, direction, change, jvp)
 
     def run(self, lane: RunLane, rows: RunRow, h: Scalar) -> tuple[Array, Any]:
@@ -246,8 +253,16 @@ class RunKernel(eqx.Module):
             time = jnp.asarray(row.time)
             return output_of(self.plant, moved, time, x, inputs, self.friction)
 
-        change = None if row.slope is None else _input_change(row, direction)[0]
+        change = None if row.slope is None else self._input_change(row, direction)[0]
         return _derived(outputs, (x, theta, u), slope, direction, change, jvp)
+
+    def _input_change(self, row: RunRow, direction: Direction) -> Float[Array, "3 nu"]:
+        """How the inputs behind actuators change in one direction."""
+        assert row.slope is not None
+        assert row.past is not None
+        slope, past = jnp.asarray(row.slope), jnp.asarray(row.past)
+        levels = jnp.asarray(direction.start)[-past.shape[-1] :]
+        return slope @ jnp.asarray(direction.theta)[np.asarray(self.acting, int)] + past @ levels
 
     def _square(self, lane: RunLane, scored: Array) -> Float[Array, "size size"]:
         """Σ w c cᵀ over the outputs; in its corner the loss, so that it is the cost."""
@@ -278,15 +293,6 @@ def _derived(
     if change is None:
         return jvp(lambda x, theta: function(x, theta, u), (x, theta), tangents)
     return jvp(function, primals, (*tangents, change))
-
-
-def _input_change(row: RunRow, direction: Direction) -> Float[Array, "3 nu"]:
-    """How the inputs behind actuators change in one direction."""
-    assert row.slope is not None
-    assert row.past is not None
-    slope, past = jnp.asarray(row.slope), jnp.asarray(row.past)
-    levels = jnp.asarray(direction.start)[-past.shape[-1] :]
-    return slope @ jnp.asarray(direction.theta) + past @ levels
 
 
 def added_up(
