@@ -7,6 +7,7 @@ import pytest
 
 import eoi_jax as eoi
 from eoi_jax.models.equations.text_model import plant_from_text
+from eoi_jax.refinement.problem import kernel_of
 from eoi_jax.simulation.simulate import acted, actuated, actuated_on_host, drive, past_slopes
 
 SLOW, LAG, NOISE = 3.0, 0.7, 1e-3
@@ -45,6 +46,17 @@ def test_a_step_response_that_begins_with_its_step_is_refined():
         error = refined.standard_errors[name]
         assert error < 0.01 * value
         assert refined.parameters[name] == pytest.approx(value, abs=4.0 * error)
+
+
+def test_inputs_behind_a_known_lag_have_no_derivatives_and_the_rest_is_refined():
+    plant = _plant(T=2.0).declared_anew(fixed=("lag",))
+    assert kernel_of(_plant(), "sums").acting == (1,)
+    assert kernel_of(plant, "sums").acting == ()
+    refined = eoi.refine(plant, [_step_response(2), _step_response(3)])
+    error = refined.standard_errors["T"]
+    assert error < 0.01 * SLOW
+    assert refined.parameters["T"] == pytest.approx(SLOW, abs=4.0 * error)
+    assert refined.parameters["lag"] == LAG
 
 
 def test_levels_before_the_record_fade_behind_a_lag_and_pass_behind_a_delay():
