@@ -242,17 +242,23 @@ def rewrite(
     return [new[node.order] for node in nodes]
 
 
-def evaluate(nodes: Sequence[Node], inputs: Callable[[Any], Any], dtype: Any) -> list[Any]:
+def evaluate(
+    nodes: Sequence[Node],
+    inputs: Callable[[Any], Any],
+    dtype: Any,
+    order: Sequence[Node] | None = None,
+) -> list[Any]:
     """Values of nodes by NumPy, for inputs that are numbers or arrays of one shape.
 
     Args:
         nodes: what is wanted.
         inputs: from `Node.value` of an input to its value.
         dtype: of the numbers.
+        order: their `topological_order`, for nodes that are evaluated often.
     """
     values: dict[int, Any] = {}
     with np.errstate(all="ignore"):
-        for node in topological_order(nodes):
+        for node in topological_order(nodes) if order is None else order:
             if node.op == "constant":
                 value = node.value if node.is_bool else np.asarray(node.value, dtype)
             elif node.op == "input":

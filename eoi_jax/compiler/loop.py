@@ -113,6 +113,20 @@ class LaneProgram:
     level: Callable[[Node], int]
 
     @functools.cached_property
+    def first_row(self) -> tuple[tuple[Node, ...], ...]:
+        """What is evaluated for a run: carries and constants of lanes, what is fixed, carries."""
+        lanes, shared = (
+            tuple(self.initial[i] for i in carries)
+            for carries in (self.lane_carries, self.shared_carries)
+        )
+        return lanes, self.lane_constants, self.fixed, shared
+
+    @functools.cached_property
+    def first_order(self) -> list[Node]:
+        """All nodes of `first_row`, arguments first."""
+        return topological_order(itertools.chain(*self.first_row))
+
+    @functools.cached_property
     def shared_body(self) -> Body:
         """What all lanes share: its outputs are the rows of `lane_body`."""
         path = Path(self.general.scalars, (), self.shared)

@@ -2,6 +2,7 @@
 
 import ctypes
 import functools
+import itertools
 import os
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
@@ -78,22 +79,23 @@ class CompiledLoop:
         runs, count = len(fixed), lanes.shape[1]
         groups = {"lane": lanes[:, None], "fixed": fixed.T[..., None]}
 
-        def values(
-            nodes: Sequence[Node], lanes: int, spare: int = 0
-        ) -> Float[np.ndarray, "runs nodes lanes"]:
-            table = np.zeros((runs, len(nodes) + spare, lanes), dtype)
-            found = evaluate(nodes, lambda place: groups[place[0]][place[1]], dtype)
-            for i, value in enumerate(found):
-                table[:, i] = value
-            return table
+        nodes = list(itertools.chain(*program.first_row))
+        found = iter(
+            evaluate(nodes, lambda place: groups[place[0]][place[1]], dtype, program.first_order)
+        )
 
-        carries = values([program.initial[i] for i in program.lane_carries], count)
-        constants = values(program.lane_constants, count)
+        def table(part: Sequence[Node], lanes: int, spare: int = 0) -> np.ndarray:
+            """Values of a part, shape (runs, nodes, lanes)."""
+            values = np.zeros((runs, len(part) + spare, lanes), dtype)
+            for i, value in enumerate(itertools.islice(found, len(part))):
+                values[:, i] = value
+            return values
+
+        carries, constants = (table(part, count) for part in program.first_row[:2])
+        # Never empty: they have an address.
+        shared, scalars = (table(part, 1, spare=1)[..., 0] for part in program.first_row[2:])
         spoilt = np.any(np.isnan(constants), axis=1)
         rows = np.concatenate([carries, constants], axis=1)
-        # Never empty: they have an address.
-        shared = values(program.fixed, 1, spare=1)[..., 0]
-        scalars = values([program.initial[i] for i in program.shared_carries], 1, spare=1)[..., 0]
         vectors = -(-count // where.width)
         # Beyond the last lane it is repeated: any numbers do, but these cost no slow path.
         padding = np.minimum(np.arange(vectors * where.width), count - 1)

@@ -17,29 +17,51 @@ from eoi_jax.refinement.driven_inputs import DrivenInputs
 from eoi_jax.refinement.problem import Problem, Unknowns, driven
 from eoi_jax.simulation import compiled_runs
 from eoi_jax.simulation.chained_runs import outputs_of
+from eoi_jax.simulation.compiled_runs import LaneCode
 from eoi_jax.simulation.integrator import Drive
 from eoi_jax.simulation.sensitivity import Host, RunKernel, RunLane, RunRow
 
 
-def sums(unknowns: Unknowns, problem: Problem) -> Float[np.ndarray, "lanes runs size size"]:
+def lane_code(problem: Problem, lanes: int, start_size: int) -> LaneCode | None:
+    """Code of runs that are evaluated one lane at a time; None of others.
+
+    Args:
+        problem: the runs.
+        lanes: how many.
+        start_size: unknowns of the start of a run.
+    """
+    if problem.compiled and (lanes == 1 or problem.places is not None):
+        return LaneCode.of(problem.kernel, start_size)
+    return None
+
+
+def sums(
+    unknowns: Unknowns, problem: Problem, code: LaneCode | None = None
+) -> Float[np.ndarray, "lanes runs size size"]:
     r"""$\sum w\,c\,c^\top$ of each run: start, then θ, then the error, all weighed.
 
     Args:
         unknowns: of one lane or several, a leading axis.
         problem: the runs.
+        code: `lane_code`, where that is there already.
     """
     theta, starts = np.asarray(unknowns.theta), np.asarray(unknowns.starts)
     if not problem.compiled:
         theta = jnp.asarray(np.stack([problem.completed(values) for values in theta]))
         return np.asarray(_scanned_sums(problem, theta, jnp.asarray(starts)), float)
     if problem.places is None:
-        return _summed(problem, theta, starts)
+        return _summed(problem, code, theta, starts)
     lanes = zip(theta, starts, strict=True)
-    return np.concatenate([_summed(problem, *(part[None] for part in lane)) for lane in lanes])
+    return np.concatenate(
+        [_summed(problem, code, *(part[None] for part in lane)) for lane in lanes]
+    )
 
 
 def _summed(
-    problem: Problem, free: Float[np.ndarray, "lanes free"], starts: np.ndarray
+    problem: Problem,
+    code: LaneCode | None,
+    free: Float[np.ndarray, "lanes free"],
+    starts: np.ndarray,
 ) -> Float[np.ndarray, "lanes runs size size"]:
     """The sums of some lanes, which share what drives the plant."""
     theta = np.stack([problem.completed(values) for values in free])
@@ -48,7 +70,7 @@ def _summed(
         np.asarray(part)[None] for part in (problem.declared, problem.scale, problem.threshold)
     )
     lanes = _lanes(theta, starts, *shared)
-    return compiled_runs.summed(problem.kernel, lanes, *rows, problem.substeps)
+    return compiled_runs.summed(problem.kernel, lanes, *rows, problem.substeps, code)
 
 
 def host_rows(

@@ -20,7 +20,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from eoi_jax.models.step_scales import coordinates, linear_step, scaled_step, shortened
-from eoi_jax.refinement.free_run_sums import roots, signals, sums
+from eoi_jax.refinement.free_run_sums import lane_code, roots, signals, sums
 from eoi_jax.refinement.problem import CONVERGED, Outcome, Problem, Unknowns
 from eoi_jax.simulation import compiled_runs
 from eoi_jax.simulation.sensitivity import added_up
@@ -325,11 +325,11 @@ def _search(
     watch: Watch | None,
     patient: bool,
 ) -> Outcome:
-    arrow = _Arrow.of(problem, unknowns)
+    arrow, code = _Arrow.of(problem, unknowns), lane_code(problem, *unknowns.starts.shape[::2])
     with np.errstate(all="ignore"):  # of a run that diverges
         if watch is not None:
             watch(0, 0.0)
-        square = sums(unknowns, problem) if first_sums is None else first_sums
+        square = sums(unknowns, problem, code) if first_sums is None else first_sums
         search = arrow.begun(unknowns, roots(square, unknowns.theta, problem.power))
         while True:
             if watch is not None:
@@ -338,7 +338,7 @@ def _search(
             if np.all(ended):
                 break
             trial = arrow.stepped(search.reduced, search.size)
-            rows = roots(sums(trial, problem), trial.theta, problem.power)
+            rows = roots(sums(trial, problem, code), trial.theta, problem.power)
             search = _chosen(ended, search, arrow.moved(search, trial, rows, patient))
         full = np.full(len(ended), _SETTINGS.initial_damping / _SETTINGS.min_damping)
         further = arrow.stepped(search.reduced, full)

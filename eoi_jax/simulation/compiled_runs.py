@@ -161,6 +161,7 @@ def summed(
     steps: Float[np.ndarray, " runs"],
     counts: Int[np.ndarray, " runs"],
     substeps: int = 1,
+    single: "LaneCode | None" = None,
 ) -> Float[np.ndarray, "lanes runs size size"]:
     """Normal equations of every run, from every lane's parameters.
 
@@ -171,14 +172,16 @@ def summed(
         steps: their length, of each run [s].
         counts: rows of each run that are not padding.
         substeps: rows in each sample, of which the first alone may be scored.
+        single: code of a single lane, where that is there already.
 
     Raises:
         Untranslatable: what `supports` says.
     """
     lane_count, runs = lanes.theta.shape[:2]
     if lane_count == 1:
-        single = _OneLane(kernel, lanes, tables, steps, counts)
-        return np.stack(single.map_runs(lambda run: single.sums(run, substeps)))[None]
+        code = single or LaneCode.of(kernel, lanes.start.shape[2])
+        lane = _OneLane(code, lanes, tables, steps, counts)
+        return np.stack(lane.map_runs(lambda run: lane.sums(run, substeps)))[None]
     code = _code(kernel, lanes.start.shape[2], lane_count)
     jobs = [
         _Job(code, kernel, lanes, tables, steps, counts, run, part)
@@ -216,9 +219,10 @@ def signals(
         substeps: rows in each sample.
         settings: of the memory.
     """
-    single = _OneLane(kernel, lane, tables, steps, counts, settings)
+    code = LaneCode.of(kernel, lane.start.shape[2])
+    single = _OneLane(code, lane, tables, steps, counts, settings)
     samples = -(-tables.shape[1] // substeps)
-    values = np.zeros((len(tables), samples, len(kernel.plant.outputs), single.size))
+    values = np.zeros((len(tables), samples, len(kernel.plant.outputs), code.size))
 
     def write(run: int) -> None:
         last = 0
@@ -232,12 +236,42 @@ def signals(
     return values
 
 
+@dataclass(frozen=True)
+class LaneCode:
+    """Code for the runs of a single lane, and the numbers that are the same in all of them.
+
+    Attributes:
+        code: of a run.
+        plant: numbers of the plant.
+        directions: of each unknown.
+    """
+
+    code: CompiledLoop
+    plant: np.ndarray
+    directions: np.ndarray
+
+    @classmethod
+    def of(cls, kernel: RunKernel, start_size: int) -> "LaneCode":
+        """Of a recursion with so many unknowns in the start of a run.
+
+        Raises:
+            Untranslatable: what `supports` says.
+        """
+        directions = numbers(kernel.directions(start_size), float, skip=1).T
+        return cls(_one_run(kernel, start_size), numbers(kernel, float), directions)
+
+    @property
+    def size(self) -> int:
+        """Of the normal equations: the unknowns and the error."""
+        return self.directions.shape[1] + 1
+
+
 class _OneLane:
     """All runs of a single lane."""
 
     def __init__(
         self,
-        kernel: RunKernel,
+        code: LaneCode,
         lane: RunLane,
         tables: Table,
         steps: np.ndarray,
@@ -245,17 +279,14 @@ class _OneLane:
         settings: RunSettings = RunSettings(),
     ):
         self._threshold, self._chunk = np.asarray(lane.threshold)[0], settings.chunk
+        self.size, self._outputs = code.size, code.code.outputs
         self._tables, self._counts = tables, counts
         # In the order of the loop's `fixed`: plant, lane and the length of a step.
-        runs, plant = len(tables), numbers(kernel, float)
+        runs, plant = len(tables), code.plant
         parts = [np.asarray(leaf, float)[0].reshape(runs, -1) for leaf in jax.tree.leaves(lane)]
         plants = np.broadcast_to(plant, (runs, len(plant)))
         fixed = np.concatenate([plants, *parts, np.reshape(steps, (runs, 1))], axis=1)
-        start_size = lane.start.shape[2]
-        directions = kernel.directions(start_size)
-        self._code = _one_run(kernel, start_size)
-        self._begun = self._code.begin_each(numbers(directions, float, skip=1).T, fixed)
-        self.size = len(directions.theta) + 1
+        self._begun = code.code.begin_each(code.directions, fixed)
 
     def map_runs(self, job: Callable[[int], Any]) -> list[Any]:
         """What a job gives for each run."""
@@ -281,7 +312,7 @@ class _OneLane:
         """c of some samples after the other, the error first: views of what is written over."""
         rows = np.ascontiguousarray(self._tables[run, : self._counts[run]], float)
         begun, count = self._begun[run], max(self._chunk // substeps, 1) * substeps
-        first = [place.start for place in self._code.outputs[::2]]
+        first = [place.start for place in self._outputs[::2]]
         for outputs in begun.outputs(rows, count):
             yield [outputs[::substeps, at : at + self.size] for at in first]
 
