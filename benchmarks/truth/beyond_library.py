@@ -3,8 +3,8 @@
     python benchmarks/truth/beyond_library.py [--quick] [--write]
 
 The laws were written down before curves were tried on them, and before the library had damping
-with the square of the displacement and products of three signals, which two of them are. Simulated
-by the rule of `other_rigs`.
+with the square of the displacement, products of three signals and a loss that saturates, which
+three of them are. Simulated by the rule of `other_rigs`.
 """
 
 import math
@@ -98,7 +98,8 @@ def cases() -> list[Case]:
         _filled("an input with its logarithm",
                 lambda x, u: (1.5 * math.log1p(u) - 0.8 * x[0],), "input_curve"),
         _filled("an uptake that saturates, y/(0.4 + y)",
-                lambda x, u: (u - 0.3 * x[0] - 0.8 * x[0] / (0.4 + x[0]),), "curve y"),
+                lambda x, u: (u - 0.3 * x[0] - 0.8 * x[0] / (0.4 + x[0]),), "curve y",
+                "saturating_loss"),
         _filled("a loss with sin(4 y)",
                 lambda x, u: (u - 0.8 * x[0] - 0.3 * math.sin(4 * x[0]),), "curve y"),
     ]  # fmt: skip

@@ -48,6 +48,7 @@ from eoi_jax.discovery.probability import Standing
 from eoi_jax.discovery.ranking import ranking
 from eoi_jax.discovery.refined import refined_answer
 from eoi_jax.discovery.refit import free_runs, not_simulated, on_bounds, refitted, runs_that_tell
+from eoi_jax.discovery.remainder import partial_where_more_is_left, with_differences
 from eoi_jax.discovery.remarks import (
     FREE_RUN,
     NO_FREE_RUN,
@@ -72,7 +73,7 @@ from eoi_jax.estimation.lowpass import LowPass
 from eoi_jax.estimation.preparation import PreparedRecords, prepare_records
 from eoi_jax.models.augmented import Placed
 from eoi_jax.models.check_records import check_records
-from eoi_jax.models.effects import couplings, rare, wider
+from eoi_jax.models.effects import couplings, input_products, rare, wider
 from eoi_jax.models.effects.effect import AbstractEffect
 from eoi_jax.models.placements import placements
 from eoi_jax.models.plant import Plant
@@ -165,7 +166,8 @@ def discover(
     else:
         search = replace(search, lowpass=indices.lowpass)
         searched = with_best_hold(search.on, fit_records, held_out, indices)
-    discovery = _partial_where_more_is_left(search.in_free_runs(searched, fit_records, held_out))
+    discovery = search.in_free_runs(searched, fit_records, held_out)
+    discovery = with_differences(partial_where_more_is_left(discovery), fit_records)
     unplaced_notes = (
         [] if effects is None else notes_without_place(tried_effects, fitting, discovery)
     )
@@ -209,7 +211,8 @@ class _Search:
             held_out: that judge, as given.
         """
         discovery, start = searched.discovery, min(float(record.time[0]) for record in records)
-        further = () if self.named else (*wider(), *couplings(self.plant))
+        named = input_products(self.plant) + couplings(self.plant)
+        further = () if self.named else (*wider(), *named)
         effects = [effect.since(start) for effect in (*self.effects, *further)]
         if leaves_more(discovery):
             discovery = unless_refined_is_better(discovery, records)
@@ -301,17 +304,6 @@ def _with_doubts(task: Task, discovery: Discovery, refined: bool) -> Discovery:
     suggestion = "" if refined else _REFINE_HINT
     notes = (FitNote(doubt + suggestion) for doubt in doubts)
     return replace(discovery, notes=(*discovery.notes, *notes))
-
-
-def _partial_where_more_is_left(discovery: Discovery) -> Discovery:
-    """An answer that takes less than is asked for is partial where free runs miss by more, too."""
-    status, runs = discovery.status, discovery.windows_after or discovery.after
-    part = bool(discovery.added) and discovery.explained < _RULES.explained
-    if status.code != "complete" or not part or discovery.in_sample:
-        return discovery
-    if not beyond_noise(runs, discovery.held_out):
-        return discovery
-    return replace(discovery, status=Status("partial", f"{status.message}; {_MORE_LEFT}"))
 
 
 def _no_progress(stage: str, done: int, stages: int) -> None:
@@ -534,7 +526,6 @@ def _share_of_simpler(
     return share, answered(share, relative_residual)
 
 
-_MORE_LEFT = "free runs on the held-out records miss by more than noise"
 _NO_SAMPLE = (
     "no sample of the records counts: motion is hidden in noise at the cut-off {:.4g} rad/s, or "
     "the plant rests all the time. Give a `lowpass` with a lower cut-off, or records with more "

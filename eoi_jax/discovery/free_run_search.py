@@ -41,13 +41,13 @@ from eoi_jax.discovery.refit import not_simulated
 from eoi_jax.discovery.replacements import replaced_terms, replacements
 from eoi_jax.discovery.rules import RULES
 from eoi_jax.models.augmented import Placed, augmented, place
-from eoi_jax.models.effects import ConstantOffset, Drift, Product, SinusoidalDisturbance
+from eoi_jax.models.effects import PRODUCTS, ConstantOffset, Drift, SinusoidalDisturbance
 from eoi_jax.models.effects.effect import AbstractCascade, AbstractEffect
 from eoi_jax.models.placements import placements
 from eoi_jax.models.plant import Plant
 from eoi_jax.refinement.refine import refine_once
 from eoi_jax.refinement.remaining import remaining
-from eoi_jax.refinement.score_test import is_tested
+from eoi_jax.refinement.score_test import Candidate, is_tested
 from eoi_jax.simulation.error_growth import is_lost, returns
 
 _RULES = RULES.free_runs
@@ -263,10 +263,8 @@ class Search:
         # What has no linear test: none at all would find it.
         untested = [e for e in effects if isinstance(e, AbstractCascade) and not is_tested(e)]
         items = remaining(best.refinement, effects, level=level).significant
-        largest = max((item.share for item in items), default=0.0)
-        least = 1.0 - _RULES.remainder * (1.0 - largest)
-        least = max(least, _RULES.share if self.base.placed else 0.0)
-        sets = [(item.placed, item.values) for item in items if item.share >= least]
+        least = _RULES.share if self.base.placed else 0.0
+        sets = [(item.placed, item.values) for item in _nearly_best(items) if item.share >= least]
         if not self.base.placed:
             sets += [((placed,), dict.fromkeys(placed.names, 0.0))
                      for placed in placements(plant, offsets)]  # fmt: skip
@@ -275,16 +273,12 @@ class Search:
         for placed, values in [*certain, *sets]:
             if not _repeated(best.placed, placed):
                 first.setdefault(_sites_of(placed), (augmented(plant, placed, values), placed))
-        models = list(first.values())[: _RULES.tried + len(certain)]
-        if not self.base.placed:
-            return models
-        # Beside an explanation a product is told, but names no cause: one of them is enough.
-        products = [any(isinstance(at.effect, Product) for at in placed) for _, placed in models]
-        return [
-            model
-            for i, (model, product) in enumerate(zip(models, products, strict=True))
-            if not product or i == products.index(True)
-        ]
+        # A product names no cause, and many of them do alike: they leave room for laws that do.
+        # Beside an explanation they are told, and one is enough.
+        models, allowed = list(first.values()), 1 if self.base.placed else _RULES.products
+        products = [i for i, (_, placed) in enumerate(models) if _has_product(placed)]
+        models = [model for i, model in enumerate(models) if i not in products[allowed:]]
+        return models[: _RULES.tried + len(certain)]
 
     def fitted(self, plant: Plant, placed: tuple[Placed, ...], best: Judged) -> Judged | None:
         """A model refined over runs as those of the best one so far, and judged.
@@ -308,26 +302,31 @@ class Search:
 
     def further_forms(self, trials: Sequence[Judged]) -> list[Judged]:
         """The best model that has an effect of several forms, in the form that fits best."""
-        candidates = [trial for trial in trials if self._next_forms(trial.placed) is not None]
+        candidates = [trial for trial in trials if self._next_forms(trial) is not None]
         best = first = min(candidates, key=lambda trial: trial.error, default=None)
-        while best is not None and (placed := self._next_forms(best.placed)) is not None:
+        while best is not None and (placed := self._next_forms(best)) is not None:
             trial = self._with_only(placed, best)
             if trial is None or trial.refinement.cost >= best.refinement.cost:
                 break
             best = trial
         return [] if best is None or best is first else [best]
 
-    def _next_forms(self, placed: Sequence[Placed]) -> tuple[Placed, ...] | None:
-        """Effects in their next forms, where these fit; None where none has any."""
+    def _next_forms(self, model: Judged) -> tuple[Placed, ...] | None:
+        """Effects of a model in their next forms, where these fit; None where none has any."""
         forms = [None if item in self.base.placed or item.channel == item.through
-                 else item.effect.next_form() for item in placed]  # fmt: skip
+                 else item.effect.next_form() for item in model.placed]  # fmt: skip
         if not any(forms):
             return None
-        declared = self.base.refinement.plant
-        pairs = zip(placed, forms, strict=True)
-        return tuple(item if form is None else
-                     place(declared, form, item.channel, item.against, item.through)
-                     for item, form in pairs)  # fmt: skip
+        plant, values, following = self.base.refinement.plant, model.refinement.parameters, []
+        for item, form in zip(model.placed, forms, strict=True):
+            # One may fit only where another one is: a stream through cells may be a product.
+            if form is not None:
+                item = place(plant, form, item.channel, item.against, item.through)
+            if item not in self.base.placed:
+                missing = dict.fromkeys(item.names, 0.0)
+                plant = augmented(plant, (item,), missing | values)
+            following.append(item)
+        return tuple(following)
 
     def _with_only(self, placed: Sequence[Placed], model: Judged) -> Judged | None:
         """The base with these effects, refined from the values of a model that has them."""
@@ -484,6 +483,26 @@ def _most_likely(searches: Sequence[Search]) -> Search:
         )
     ]
     return min(likely, key=lambda search: search.base.error)
+
+
+def _nearly_best(candidates: Sequence[Candidate]) -> list[Candidate]:
+    """Candidates that leave little more than the best one; laws are compared with laws.
+
+    A product bends as the residual does wherever the base is, and takes most of what is linearised
+    there; it names no cause.
+    """
+    chosen = []
+    for candidate in candidates:
+        kind = _has_product(candidate.placed)
+        alike = (other.share for other in candidates if _has_product(other.placed) == kind)
+        if 1.0 - candidate.share <= _RULES.remainder * (1.0 - max(alike)):
+            chosen.append(candidate)
+    return chosen
+
+
+def _has_product(placed: Sequence[Placed]) -> bool:
+    """Whether one of some effects is a product of signals."""
+    return any(isinstance(item.effect, PRODUCTS) for item in placed)
 
 
 def _in_time(placed: Sequence[Placed]) -> bool:

@@ -41,10 +41,12 @@ from eoi_jax.estimation.lowpass import LowPass
 from eoi_jax.estimation.preparation import prepare_records
 from eoi_jax.models.augmented import Placed, added_effects
 from eoi_jax.models.effects import (
+    PRODUCTS,
     AbstractInternalEffect,
     Curve,
     Drift,
     InputCurve,
+    InputProduct,
     Product,
     SinusoidalDisturbance,
 )
@@ -221,7 +223,7 @@ def with_further_effects(
     further = model.placed[len(present) :]
     hints = []
     confirms = bool(further) and ratio < RULES.answer.confirmed
-    if confirms and any(isinstance(at.effect, Product) for at in further):
+    if confirms and any(isinstance(at.effect, PRODUCTS) for at in further):
         # It names no cause, and would take its share of those that are named.
         hints = [_HINT.format(" and ".join(_signals_of(plant, at) for at in further), ratio)]
     model = answer.final
@@ -250,11 +252,13 @@ def with_further_effects(
 
 def _signals_of(plant: Plant, placed: Placed) -> str:
     """A product by its signals, any other effect by its name."""
-    if not isinstance(placed.effect, Product):
-        return placed.effect.label.replace("_", " ")
-    output = plant.outputs[placed.output]
-    signals = {"y": output, "v": f"{output}'", "u": (*plant.inputs, "u")[0]}
-    return "the product of " + " and ".join(signals[key] for key in placed.effect.factors)
+    effect, output = placed.effect, plant.outputs[placed.output]
+    if isinstance(effect, Product):
+        signals = {"y": output, "v": f"{output}'", "u": (*plant.inputs, "u")[0]}
+        return "the product of " + " and ".join(signals[key] for key in effect.factors)
+    if isinstance(effect, InputProduct):
+        return "the product of " + " and ".join(signal.symbol for signal in effect.signals)
+    return effect.label.replace("_", " ")
 
 
 def answered(discovery: Discovery, answer: FreeRunAnswer, lowpass: LowPass | None) -> Discovery:

@@ -49,6 +49,11 @@ class Judged:
         effects = sum(len(effect.names) for effect in self.placed)
         return effects - len(self.refinement.plant.fixed)
 
+    @property
+    def burden(self) -> float:
+        """Number of its effects; rarity and further parameters of wide laws count as effects."""
+        return sum(1.0 + at.effect.rarity + _further_parameters(at) for at in self.placed)
+
 
 @dataclass(frozen=True)
 class Judge:
@@ -145,8 +150,7 @@ class Judge:
         """
 
         def weighed(trial: Judged) -> float:
-            burden = sum(at.effect.rarity + _further_parameters(at) for at in trial.placed)
-            return trial.error + _RULES.min_fall * burden
+            return trial.error + _RULES.min_fall * (trial.burden - len(trial.placed))
 
         lowest = min(weighed(trial) for trial in trials)
         as_good = [trial for trial in trials if weighed(trial) < lowest + _RULES.min_fall]
@@ -227,21 +231,30 @@ def noise_level(runs: FreeRuns) -> float:
     return float(np.mean(np.log(np.maximum(levels, np.finfo(float).tiny))))
 
 
-def odds(rival: FreeRuns, chosen: FreeRuns, further: int = 0) -> float:
+def odds(rival: FreeRuns, chosen: FreeRuns, further: float = 0.0) -> float:
     """Odds that a rival predicts better than a model that was chosen.
+
+    A model that leaves more than noise is not the true one, and what it lacks may make either a
+    little better, on all blocks alike: by as much as makes an effect stay, for the share of what it
+    leaves that is no noise.
 
     Args:
         rival: free runs of the rival.
         chosen: those of the model, on the same records.
-        further: effects that the rival has beyond those of the model: it must be better by as much
-            as makes these stay.
+        further: burden of the rival beyond that of the model: it must be better by as much as makes
+            so many effects stay.
     """
-    better = probability_better(rival, chosen, _RULES.min_fall * max(further, 0))
+    noise = np.exp(2.0 * (noise_level(chosen) - mean_error(chosen)))
+    unexplained = _RULES.min_fall * float(np.sqrt(max(1.0 - noise, 0.0)))
+    margin = _RULES.min_fall * max(further, 0.0)
+    better = probability_better(rival, chosen, margin, unexplained)
     largest = RULES.probability.largest_odds
     return float(min(better / max(1.0 - better, 1.0 / largest), largest))
 
 
-def probability_better(first: FreeRuns, second: FreeRuns, margin: float = 0.0) -> float:
+def probability_better(
+    first: FreeRuns, second: FreeRuns, margin: float = 0.0, alike: float = 0.0
+) -> float:
     """Probability that a model predicts better than another, by the mean error of their free runs.
 
     The standard error of the difference is that of a mean over the blocks of the held-out records,
@@ -251,6 +264,7 @@ def probability_better(first: FreeRuns, second: FreeRuns, margin: float = 0.0) -
         first: free runs of the model.
         second: those of the other one, on the same records.
         margin: difference of mean errors by which the first must be better.
+        alike: standard error of what all blocks have in common.
     """
     from scipy.special import stdtr  # only discovery needs it
 
@@ -264,8 +278,8 @@ def probability_better(first: FreeRuns, second: FreeRuns, margin: float = 0.0) -
     fall = float(np.mean([fall for fall, _ in falls])) - margin
     counting = np.any([_block_sums(run)[1] > 0 for run, _ in pairs], axis=(0, 2))
     influence = np.mean([part for _, part in falls], axis=0)[counting]
-    error = max(float(np.std(influence, ddof=1)) / np.sqrt(len(influence)), np.finfo(float).tiny)
-    return float(stdtr(len(influence) - 1, fall / error))
+    error = np.hypot(np.std(influence, ddof=1) / np.sqrt(len(influence)), alike)
+    return float(stdtr(len(influence) - 1, fall / max(error, np.finfo(float).tiny)))
 
 
 def _log_fall(rival: Validation, trial: Validation) -> tuple[float, Float[np.ndarray, " blocks"]]:

@@ -48,7 +48,7 @@ def with_simpler_laws(
         refit = estimate(plain, task.prepared)
         simple_runs = free_runs(task, refit.plant)
         if refit.status.ok and as_good(simple_runs, runs):
-            laws = dict.fromkeys({*simpler_set} - {*placed}, odds(runs, simple_runs, 1))
+            laws = dict.fromkeys({*simpler_set} - {*placed}, odds(runs, simple_runs, 1.0))
             placed, fit, runs, wider = with_simpler_laws(task, simpler_set, refit, simple_runs)
             return placed, fit, runs, {wide: laws, **wider}
     return placed, fit, runs, {}

@@ -160,9 +160,8 @@ def from_contests(
         against: dict[Placed | None, float] = {None: odds(contest.origin.runs, chosen.runs)}
         for trial in contest.trials:
             rivals = [rival for rival in trial.placed if _place_of(rival) not in places]
-            if rivals and place not in _places(trial):
-                further = len(trial.placed) - len(chosen.placed)
-                found = odds(trial.runs, chosen.runs, further)
+            if rivals and place not in _places(trial) and not reads_as(rivals[0], placed):
+                found = odds(trial.runs, chosen.runs, trial.burden - chosen.burden)
                 against[rivals[0]] = max(found, against.get(rivals[0], 0.0))
         removed = _power(contest.origin.error) - _power(chosen.error)
         standings[placed] = standing(plant, _one_of_each_place(against)).beside(removed, remainder)

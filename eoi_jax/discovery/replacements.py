@@ -13,7 +13,7 @@ from jaxtyping import Float
 from eoi_jax.discovery.judge import Judged
 from eoi_jax.discovery.rules import RULES
 from eoi_jax.models.augmented import Placed, added_effects, augmented
-from eoi_jax.models.effects import Product
+from eoi_jax.models.effects import PRODUCTS
 from eoi_jax.models.effects.effect import AbstractEffect, AbstractTerm
 from eoi_jax.models.placements import placements
 from eoi_jax.models.plant import Plant
@@ -79,6 +79,6 @@ def _substitutes(
 def _is_law(placed: Placed) -> bool:
     """Whether it is a term of one gain, which names a cause."""
     effect = placed.effect
-    if not isinstance(effect, AbstractTerm) or isinstance(effect, Product):
+    if not isinstance(effect, AbstractTerm) or isinstance(effect, PRODUCTS):
         return False
     return len(effect.parameters) == len(effect.gains) == 1 and effect.states == 0

@@ -4,7 +4,14 @@ from collections.abc import Sequence
 
 from eoi_jax._checks import check, check_choice, check_kind
 from eoi_jax.discovery.result import Discovery
-from eoi_jax.models.effects import Coupling, couplings, on_request, standard, wider
+from eoi_jax.models.effects import (
+    Coupling,
+    couplings,
+    input_products,
+    on_request,
+    standard,
+    wider,
+)
 from eoi_jax.models.effects.effect import AbstractCascade, AbstractEffect
 from eoi_jax.models.placements import placements
 from eoi_jax.models.plant import Plant
@@ -16,7 +23,8 @@ def requested(
     """The effects by name or as objects; the standard ones for None."""
     if effects is None:
         return standard()
-    library = (*standard(), *wider(), *on_request(), *couplings(plant))
+    of_plant = input_products(plant) + couplings(plant)
+    library = (*standard(), *wider(), *on_request(), *of_plant)
     check_kind("effects", effects, Sequence, "a list of names or effects")
     check(len(effects) > 0, "effects", "must name at least one effect", "none")
     chosen: list[AbstractEffect] = []

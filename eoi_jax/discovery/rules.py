@@ -258,6 +258,7 @@ class FreeRunRules:
     # `same_cost`; none of these was varied.
     most: int = 4  # effects or pairs that are added one after another
     tried: int = 6  # candidates that are refined with in each round
+    products: int = 3  # of these with a product of signals, which names no cause
     # Share of the power of the errors, in the score test, from which on a candidate is tried beside
     # what explains the injection. A fall of the errors by a third takes 0.56 of their power; the
     # rest is room for what a linear test does not see. Set with levitator_coil in view.
@@ -349,6 +350,20 @@ class HoldRules:
 
 
 @dataclass(frozen=True)
+class DifferenceRules:
+    """When records are said to differ.
+
+    Attributes:
+        most: records that are compared.
+        deviations: by which their offsets differ from the common one, root mean square, in standard
+            errors.
+    """
+
+    most: int = 20
+    deviations: float = 5.0
+
+
+@dataclass(frozen=True)
 class DiscoveryRules:
     """All of them.
 
@@ -359,6 +374,7 @@ class DiscoveryRules:
         judge, free_runs, questions: of free runs on held-out records.
         curves: where no law fits.
         holds: of how the records were made.
+        differences: between records.
         refinement: on request.
     """
 
@@ -374,6 +390,7 @@ class DiscoveryRules:
     questions: QuestionRules = field(default_factory=QuestionRules)
     curves: CurveRules = field(default_factory=CurveRules)
     holds: HoldRules = field(default_factory=HoldRules)
+    differences: DifferenceRules = field(default_factory=DifferenceRules)
     refinement: RefinementRules = field(default_factory=RefinementRules)
 
 

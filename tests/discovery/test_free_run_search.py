@@ -485,6 +485,36 @@ def test_a_hot_body_radiates_or_loses_heat_with_a_power(power, name, parameter, 
     assert answer.best.refinement.parameters[parameter] == pytest.approx(value, rel=0.05)
 
 
+def eliminated(seed, count=600, period=0.5):
+    """A drug that an enzyme takes up, dosed in steps: exact between its samples."""
+    random = np.random.default_rng(seed)
+    dose = np.repeat(0.05 + 0.5 * random.random(count // 24 + 1), 24)[:count]
+    level, run = 0.2, np.empty(count)
+    for i in range(count):
+        run[i] = level
+        level = solve_ivp(
+            lambda _, y, u=dose[i]: u - 0.8 * y / (0.5 + y), (0.0, period), [level], rtol=1e-9
+        ).y[0, -1]
+    noisy = run + 5e-3 * np.std(run) * random.normal(size=count)
+    return eoi.Record(
+        period * np.arange(count), dose, noisy, f"run {seed}", hold="zero",
+        input_names="dose", output_names="level",
+    )  # fmt: skip
+
+
+@pytest.mark.slow
+def test_an_elimination_that_saturates_is_named_and_measured():
+    plant = eoi.Plant(
+        lambda t, x, u, p: p.b * u - p.k * x.y[0], {"b": 0.9, "k": 0.4}, 1, ("dose",), ("level",)
+    )
+    answer = eoi.discover(plant, eliminated(1), validation=eliminated(2))
+    assert answer.effects == ("saturating_loss",)
+    assert answer.status.code == "complete"
+    found = answer.plant.parameters
+    assert found["saturating_loss_rate"] == pytest.approx(0.8, rel=0.02)
+    assert found["saturating_loss_half"] == pytest.approx(0.5, rel=0.02)
+
+
 @pytest.mark.slow
 @pytest.mark.long
 def test_discovery_adds_what_free_runs_show_and_calls_it_partial_or_explained():

@@ -201,14 +201,22 @@ def test_a_servo_that_is_not_limited_gets_no_limit():
     assert not answer.best.placed
 
 
-def test_a_control_error_needs_an_input_in_the_unit_of_the_output():
+def test_a_control_error_needs_an_input_that_commands_the_output():
+    """By its unit; without units by the model, which knows both by their difference."""
     law = effects.ErrorSaturation()
     assert [placed.names for placed in placements(SERVO, [law])] == [("error_saturation",)]
     assert not placements(PENDULUM, [law])
-    unknown = eoi.Plant(
-        followed, dict(SERVO.parameters), relative_degree=2, inputs=("command",),
-        outputs=("angle",),
-    )  # fmt: skip
-    assert not placements(unknown, [law])
+    for units, places in (({}, 1), ({"command": "V"}, 1), ({"command": "V", "angle": "deg"}, 0)):
+        commanded = eoi.Plant(
+            followed, dict(SERVO.parameters), relative_degree=2, inputs=("command",),
+            outputs=("angle",), units=units,
+        )  # fmt: skip
+        assert len(placements(commanded, [law])) == places
+    forced = eoi.Plant(
+        lambda t, x, u, p: p.b * u - p.k * x.y[0], {"b": 2.0, "k": 1.0}, 2, ("command",), ("angle",)
+    )
+    assert not placements(forced, [law])
+    shown = eoi.Plant(lambda t, x, u, p: p.b * u, {"b": 2.0}, 0, ("command",), ("angle",))
+    assert not placements(shown, [law])
     at = effects.At(*jnp.asarray([0.0, 10.0, 0.0, 50.0]), z=None)
     assert float(law.changed(at, [30.0])) == 40.0

@@ -127,7 +127,27 @@ def test_errors_of_zero_or_that_diverge_have_no_noise_to_compare_with():
 def test_a_rival_with_more_effects_must_be_better_by_what_makes_them_stay():
     level = np.exp(np.random.default_rng(1).normal(-0.02, 0.05, 10))
     rival, chosen = runs_with(0.1 * level), runs_with(np.full(10, 0.1))
-    assert odds(rival, chosen, further=1) < odds(rival, chosen)
+    assert odds(rival, chosen, further=1.0) < odds(rival, chosen)
+
+
+def test_models_that_leave_more_than_noise_are_not_told_apart_by_little():
+    """A difference of 0.3 % in every block says which of two wrong models is the better one."""
+    first, second = runs_with(np.full(10, 0.1)), runs_with(np.full(10, 0.1003))
+    assert 1.0 < odds(first, second) < 1.3
+    assert odds(runs_with(np.full(10, 0.05)), second) > 1e6 - 1.0
+
+
+def test_a_better_law_that_contains_an_effect_is_no_rival_of_it():
+    bare, friction = (
+        model((), runs_with(np.full(10, 1.0))),
+        model((FRICTION,), runs_with(np.full(10, 0.1))),
+    )
+    wide = model((STRIBECK,), runs_with(np.full(10, 0.098)))
+    cubic = model((CUBIC,), runs_with(np.full(10, 0.098)))
+    for rival, told in ((wide, []), (cubic, ["cubic_stiffness"])):
+        contest = Contest(bare, friction, (friction, rival))
+        found = from_contests(MASS, friction, friction.placed, [contest])[FRICTION]
+        assert [law.effect for law in found.rivals] == told
 
 
 def test_sets_weigh_as_the_criterion_of_schwarz_has_it():
@@ -182,7 +202,9 @@ def test_models_with_another_effect_of_the_answer_are_no_rivals():
     first = Contest(bare, friction, (friction, model((OFFSET,), offset), cubic))
     second = Contest(friction, both, (both,))
     found = from_contests(MASS, both, both.placed, [first, second])
-    against = odds(bare.runs, friction.runs) + odds(cubic.runs, friction.runs)
+    rare = odds(cubic.runs, friction.runs, cubic.burden - friction.burden)
+    assert cubic.burden - friction.burden == 1.0
+    against = odds(bare.runs, friction.runs) + rare
     powers = np.exp(2.0 * np.array([one.error for one in (bare, friction, both)]))
     left = powers[-1] - np.exp(2.0 * noise_level(both.runs))
     shares = [taken / (taken + left) for taken in -np.diff(powers)]

@@ -45,7 +45,11 @@ from eoi_jax.models.effects.outflow import Leak as Leak
 from eoi_jax.models.effects.outflow import Overflow as Overflow
 from eoi_jax.models.effects.outflow import PowerLoss as PowerLoss
 from eoi_jax.models.effects.outflow import Radiation as Radiation
+from eoi_jax.models.effects.outflow import SaturatingLoss as SaturatingLoss
+from eoi_jax.models.effects.products import PRODUCTS as PRODUCTS
+from eoi_jax.models.effects.products import InputProduct as InputProduct
 from eoi_jax.models.effects.products import Product as Product
+from eoi_jax.models.effects.products import input_products as input_products
 from eoi_jax.models.effects.series import CellsInSeries as CellsInSeries
 from eoi_jax.models.effects.series import SensorLag as SensorLag
 from eoi_jax.models.effects.stiffness import CubicStiffness as CubicStiffness

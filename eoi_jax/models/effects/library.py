@@ -24,7 +24,14 @@ from eoi_jax.models.effects.inputs import (
     InputYield,
 )
 from eoi_jax.models.effects.memory import Hysteresis, SecondNode
-from eoi_jax.models.effects.outflow import InternalOverflow, Leak, Overflow, PowerLoss, Radiation
+from eoi_jax.models.effects.outflow import (
+    InternalOverflow,
+    Leak,
+    Overflow,
+    PowerLoss,
+    Radiation,
+    SaturatingLoss,
+)
 from eoi_jax.models.effects.products import Product
 from eoi_jax.models.effects.series import CellsInSeries, SensorLag
 from eoi_jax.models.effects.stiffness import (
@@ -85,8 +92,9 @@ def wider() -> tuple[AbstractEffect, ...]:
     """Effects that `discover` tries in free runs alone, where nothing else is an answer.
 
     Products of signals, damping with the square of the displacement, a second store, a loss with a
-    power of the output, radiation, a yield law, a limited control error, a response to the rate of
-    the input, a lag of the sensor, cells in series (two; a fit goes on to 3, 6 and 12).
+    power of the output, one that saturates, radiation, a yield law, a limited control error, a
+    response to the rate of the input, a lag of the sensor, cells in series (two; a fit goes on to
+    3, 6 and 12).
 
     Returns:
         One object of each form.
@@ -102,6 +110,7 @@ def wider() -> tuple[AbstractEffect, ...]:
         DisplacementDamping(),
         SecondNode(),
         PowerLoss(),
+        SaturatingLoss(),
         Radiation(celsius=False),
         Radiation(celsius=True),
         InputYield(),

@@ -130,6 +130,37 @@ class PowerLoss(AbstractTerm):
         return -gain[0] * size ** shape[0] * jnp.sign(at.y)
 
 
+class SaturatingLoss(AbstractTerm):
+    """-k y/(h + |y|): a loss that saturates, half of its largest value at |y| = h.
+
+    An uptake by an enzyme or by cells, elimination of a drug, adsorption on a surface. Small
+    outputs are lost in proportion, large ones at the rate k.
+
+    Source:
+        L. Michaelis, M. L. Menten, Die Kinetik der Invertinwirkung, Biochemische Zeitschrift 49,
+        1913; of growth: J. Monod, Annual Review of Microbiology 3, 1949.
+    """
+
+    name = "saturating_loss"
+    sentence = "a loss that saturates (Michaelis-Menten kinetics)"
+    gains = (Parameter("rate", "{f}", lower=0.0),)
+    shapes = (Parameter("half", "{y}", lower=0.0),)
+    depends_on = "y"
+    only_in_free_runs = True
+
+    def fits(self, plant: Plant, output: int) -> bool:
+        return plant.degrees[output] == 1
+
+    def shows(self, seen: Seen) -> bool:
+        return not turns(seen.y)  # of both signs it is friction
+
+    def grid(self, seen: Seen) -> Grid:
+        return np.nanmedian(np.abs(seen.y)) * np.array([[0.1], [0.3], [1.0], [3.0]])
+
+    def term(self, at: At, gain: Any, shape: Any) -> Any:
+        return -gain[0] * at.y / (shape[0] + jnp.abs(at.y))
+
+
 @dataclass(frozen=True)
 class InternalOverflow(AbstractInternalEffect):
     """An overflow of a tank whose level z is not measured: dz/dt loses k max(z - L, 0).

@@ -1,5 +1,6 @@
 """Terms outside the library of effects, which discovery uses as alternatives to its answer."""
 
+import itertools
 import math
 from collections import Counter
 from dataclasses import dataclass
@@ -8,6 +9,7 @@ from typing import Any
 import jax.numpy as jnp
 
 from eoi_jax.models.effects.effect import AbstractTerm, At, Parameter
+from eoi_jax.models.effects.signals import AbstractSignalProduct, signals_of
 from eoi_jax.models.plant import Plant
 
 
@@ -16,7 +18,7 @@ class Product(AbstractTerm):
     """a v w: product of two or three of y, ẏ and u, as in a gain that changes with the position.
 
     Attributes:
-        first, second: "y", "v" or "u".
+        first, second: "y", "v" or "u", the first input.
         third: likewise; "" for a product of two.
     """
 
@@ -54,6 +56,45 @@ class Product(AbstractTerm):
 
     def term(self, at: At, gain: Any, shape: Any) -> Any:
         return math.prod((getattr(at, signal) for signal in self.factors), start=gain[0])
+
+
+class InputProduct(AbstractSignalProduct):
+    """a u w: an input times the output or its rate, or times another input.
+
+    A flow that carries heat, a valve under pressure, a field and an armature: `Product` has the
+    first input only.
+
+    Attributes:
+        signals: two of the plant's, an input first.
+    """
+
+    name = "product"
+    sentence = "a product of signals"
+    rarity = 2.0
+    only_in_free_runs = True
+
+    def fits(self, plant: Plant, output: int) -> bool:
+        """Where its output is the one of this equation."""
+        here = all(signal.column == output for signal in self.outputs)
+        return here and super().fits(plant, output)
+
+
+# Both name no cause.
+PRODUCTS = (Product, InputProduct)
+
+
+def input_products(plant: Plant) -> tuple[InputProduct, ...]:
+    """Products of a plant's inputs: of the second and further ones with outputs, and of pairs.
+
+    Args:
+        plant: a model; one of a single input has none.
+
+    Returns:
+        One object of each form; `InputProduct.fits` tells at which outputs it may act.
+    """
+    outputs, inputs = signals_of(plant)
+    driven = itertools.product(inputs[1:], outputs)
+    return tuple(map(InputProduct, (*driven, *itertools.combinations(inputs, 2))))
 
 
 @dataclass(frozen=True)

@@ -8,7 +8,7 @@ from scipy.integrate import solve_ivp
 import eoi_jax as eoi
 from eoi_jax import effects, plants
 from eoi_jax.models.augmented import augmented
-from eoi_jax.models.effects.coupling import Signal
+from eoi_jax.models.effects.signals import Signal
 from eoi_jax.models.placements import placed_label, placements
 
 H = 0.5

@@ -83,6 +83,9 @@ CLOSED: dict[AbstractEffect, Callable[..., Any]] = {
         g[0] * (s[0] - y) * (s[0] + y + 546.3) * ((s[0] + 273.15) ** 2 + (y + 273.15) ** 2) / 1e8
     ),
     effects.PowerLoss(): lambda t, y, v, u, z, g, s: -g[0] * abs(y) ** s[0] * np.sign(y),
+    effects.SaturatingLoss(): lambda t, y, v, u, z, g, s: (
+        -g[0] / (s[0] / abs(y) + 1.0) * np.sign(y) if y else 0.0
+    ),
     effects.InternalOverflow(caught=True): lambda t, y, v, u, z, g, s: (
         g[0] * s[0] * (y - s[1]) if y > s[1] else 0.0
     ),

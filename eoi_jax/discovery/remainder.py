@@ -1,0 +1,112 @@
+"""What an answer leaves of the records, and whether that differs from one to the next.
+
+Records of different days differ in what was not recorded: the temperature around, a load, a slope,
+the zero of a sensor. A model that all of them share cannot have that; an offset of its own in each
+record can say so.
+"""
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from eoi_jax._status import Status
+from eoi_jax.data.holds import with_hold
+from eoi_jax.data.record import Record
+from eoi_jax.discovery.confirm import beyond_noise
+from eoi_jax.discovery.judge import error_ratio
+from eoi_jax.discovery.remarks import FitNote
+from eoi_jax.discovery.result import Discovery
+from eoi_jax.discovery.rules import RULES
+from eoi_jax.models.augmented import Placed, augmented, place
+from eoi_jax.models.effects import ConstantOffset
+from eoi_jax.models.plant import Plant
+from eoi_jax.refinement.refine import refine_once
+from eoi_jax.refinement.result import Refinement
+
+_RULES = RULES.differences
+
+
+def partial_where_more_is_left(discovery: Discovery) -> Discovery:
+    """An answer is partial where free runs miss by more, too: what it says is not what they lack.
+
+    So it is where it takes less of the residual than is asked for, or where the errors of free runs
+    on held-out records fall by less than what confirms an effect.
+    """
+    status, runs = discovery.status, discovery.windows_after or discovery.after
+    if status.code != "complete" or not discovery.added or discovery.in_sample or runs is None:
+        return discovery
+    if not beyond_noise(runs, discovery.held_out):
+        return discovery
+    before = discovery.before if discovery.windows_after is None else discovery.windows_before
+    alike = before is not None and error_ratio(runs, before) > RULES.answer.confirmed
+    if discovery.explained >= RULES.answer.explained and not alike:
+        return discovery
+    left = f"{_MORE_LEFT}, hardly less than before" if alike else _MORE_LEFT
+    return replace(discovery, status=Status("partial", f"{status.message}; {left}"))
+
+
+def with_differences(discovery: Discovery, records: Sequence[Record]) -> Discovery:
+    """An answer that leaves something, with a note where an offset of each record takes most of it.
+
+    Args:
+        discovery: the answer.
+        records: of the fit, as given.
+    """
+    runs, judging = discovery.windows_after, discovery.held_out
+    fitted = discovery.found.status.fits and not discovery.plant.has_algebraic
+    if discovery.status.code not in ("partial", "unexplained") or runs is None or not fitted:
+        return discovery
+    alike = with_hold(tuple(records), judging[0].hold, judging[0].skew)
+    everything = alike if discovery.in_sample else (*alike, *judging)
+    if not 2 <= len(everything) <= _RULES.most:
+        return discovery
+    notes = [
+        note
+        for output in range(len(discovery.plant.outputs))
+        if (note := _offsets(discovery.plant, output, everything, runs.window))
+    ]
+    return replace(discovery, notes=(*discovery.notes, *notes))
+
+
+def _offsets(
+    plant: Plant, output: int, records: tuple[Record, ...], window: float | None
+) -> FitNote | None:
+    """A sentence on the offsets of the records at an output; None where they differ by little.
+
+    All other parameters stay. The errors of free runs with an offset of its own in each record must
+    be lower than those with a common one by as much as confirms an effect.
+    """
+    placed = place(plant, ConstantOffset(), output)
+    model = augmented(plant, (placed,), {placed.names[0]: 0.0}).declared_anew(fixed=plant.names)
+    common = refine_once(model, records, window)
+    own = [refine_once(model, (record,), window) for record in records]
+    if not all(fit.status.fits for fit in (common, *own)):
+        return None
+    sizes = [record.output_valid[:, output].sum() for record in records]
+    power = np.average([fit.rmse[output] ** 2 for fit in own], weights=sizes)
+    ratio = float(np.sqrt(power) / common.rmse[output])
+    if not ratio < RULES.answer.confirmed or not _differ(own, placed):
+        return None
+    values = ", ".join(
+        f"{fit.parameters[placed.names[0]]:.3g} ± {fit.standard_errors[placed.names[0]]:.1g} in "
+        f"{record.name or f'record {i + 1}'}"
+        for i, (fit, record) in enumerate(zip(own, records, strict=True))
+    )
+    return FitNote(_DIFFER.format(plant.outputs[output], ratio, values))
+
+
+def _differ(fits: Sequence[Refinement], placed: Placed) -> bool:
+    """Whether the offsets of some fits differ by far more than their standard errors."""
+    (name,) = placed.names
+    values, errors = np.array([(fit.parameters[name], fit.standard_errors[name]) for fit in fits]).T
+    mean = np.average(values, weights=errors**-2.0)
+    return bool(np.sum(((values - mean) / errors) ** 2) > _RULES.deviations**2 * len(fits))
+
+
+_MORE_LEFT = "free runs on the held-out records miss by more than noise"
+_DIFFER = (
+    "the records differ in a constant at {}: with an offset of its own in each, free runs have "
+    "{:.2g} of the error that one offset for all leaves ({}). What differs between them is not in "
+    "the model: record it as an input, or remove it from the data"
+)
