@@ -88,12 +88,20 @@ def _offsets(
     ratio = float(np.sqrt(power) / common.rmse[output])
     if not ratio < RULES.answer.confirmed or not _differ(own, placed):
         return None
+    (name,) = placed.names
     values = ", ".join(
-        f"{fit.parameters[placed.names[0]]:.3g} ± {fit.standard_errors[placed.names[0]]:.1g} in "
-        f"{record.name or f'record {i + 1}'}"
-        for i, (fit, record) in enumerate(zip(own, records, strict=True))
+        f"{fit.parameters[name]:.3g} ± {fit.standard_errors[name]:.1g} in {record}"
+        for fit, record in zip(own, _names(records), strict=True)
     )
     return FitNote(_DIFFER.format(plant.outputs[output], ratio, values))
+
+
+def _names(records: Sequence[Record]) -> list[str]:
+    """Names of records, with numbers where these are not their own."""
+    names = [record.name for record in records]
+    if len(set(names)) == len(names):
+        return names
+    return [f"{name} {number}" for number, name in enumerate(names, start=1)]
 
 
 def _differ(fits: Sequence[Refinement], placed: Placed) -> bool:

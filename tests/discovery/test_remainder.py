@@ -1,0 +1,61 @@
+"""What an answer leaves: partial where free runs miss by more, and records that differ."""
+
+import numpy as np
+import pytest
+
+import eoi_jax as eoi
+
+GAIN, LOSS, H = 0.01, 0.005, 5.0
+PLANT = eoi.Plant(
+    lambda t, x, u, p: p.b * u[0] - p.k * (x.y[0] - 20.0), {"b": 0.02, "k": 0.004}, 1,
+    inputs=("power",), outputs=("temperature",),
+)  # fmt: skip
+
+
+def warmed(ambient, seed, name="record", samples=800):
+    """T' = GAIN·P - LOSS·(T - ambient), exact between its samples."""
+    draw = np.random.default_rng(seed)
+    power = np.repeat(20.0 + 30.0 * draw.uniform(0.0, 1.0, samples // 40), 40)
+    y, level, decay = np.empty(samples), ambient, np.exp(-LOSS * H)
+    for i in range(samples):
+        y[i] = level
+        end = ambient + GAIN / LOSS * power[i]
+        level = end + (level - end) * decay
+    y += 2e-3 * np.std(y) * draw.standard_normal(samples)
+    return eoi.Record(
+        H * np.arange(samples), power, y, name, hold="zero",
+        input_names=("power",), output_names=("temperature",),
+    )  # fmt: skip
+
+
+def differences(found):
+    return [note for note in found.notes if note.startswith("the records differ")]
+
+
+@pytest.mark.slow
+def test_an_offset_that_held_out_records_do_not_have_is_no_complete_answer():
+    """The temperature around is another one on the second day, and was not recorded."""
+    found = eoi.discover(PLANT, warmed(18.0, 1, "Monday"), validation=warmed(27.0, 2, "Friday"))
+    assert found.status.code == "partial"
+    assert "hardly less than before" in found.status.message
+    (note,) = differences(found)
+    assert "at temperature" in note
+    assert "in Monday, 0.045" in note
+    assert "in Friday)" in note
+
+
+@pytest.mark.slow
+def test_records_that_differ_are_told_where_nothing_is_found():
+    days = [warmed(ambient, seed) for seed, ambient in enumerate((18.0, 27.0, 22.0))]
+    found = eoi.discover(PLANT, days[:2], validation=days[2])
+    assert found.status.code == "unexplained"
+    (note,) = differences(found)
+    assert "in record 3)" in note
+
+
+@pytest.mark.slow
+def test_an_offset_that_all_records_have_is_complete_and_no_difference():
+    days = [warmed(24.0, seed) for seed in (3, 4)]
+    found = eoi.discover(PLANT, days[0], validation=days[1])
+    assert found.status.code == "complete"
+    assert not differences(found)
