@@ -35,7 +35,7 @@ from eoi_jax.discovery.additions import added_effect, has_size, sensor_notes, un
 from eoi_jax.discovery.confirm import beyond_noise, confirmed, holds
 from eoi_jax.discovery.curves import misses_a_law, with_curves
 from eoi_jax.discovery.diagnose import diagnose
-from eoi_jax.discovery.hold_choice import Searched, with_best_hold
+from eoi_jax.discovery.hold_choice import Searched, with_best_hold, with_held_inputs
 from eoi_jax.discovery.in_free_runs import (
     leaves_more,
     leaves_open,
@@ -167,6 +167,7 @@ def discover(
         search = replace(search, lowpass=indices.lowpass)
         searched = with_best_hold(search.on, fit_records, held_out, indices)
     discovery = search.in_free_runs(searched, fit_records, held_out)
+    discovery = with_held_inputs(discovery, search.answered, fit_records, held_out)
     discovery = with_differences(partial_where_more_is_left(discovery), fit_records)
     unplaced_notes = (
         [] if effects is None else notes_without_place(tried_effects, fitting, discovery)
@@ -199,6 +200,10 @@ class _Search:
     refine: bool
     named: bool
     progress: Progress
+
+    def answered(self, records: tuple[Record, ...], held_out: tuple[Record, ...]) -> Discovery:
+        """What the injection and free runs say of these records, whose hold is as it is."""
+        return self.in_free_runs(self.on(records, held_out), records, held_out)
 
     def in_free_runs(
         self, searched: Searched, records: tuple[Record, ...], held_out: tuple[Record, ...]
@@ -435,15 +440,16 @@ def _chosen(task: Task, steps: Sequence[Step], rounds: Sequence[Round], prior: F
         refit = refitted(task, model, notes)
         if not refit.status.ok:
             notes.append(FitNote(_REFIT_STATUS.format(refit.status)))
-        if unsized := [item for item in placed if not has_size(item, refit)]:
+        runs = free_runs(task, refit.plant)
+        plain, fit, plain_runs, wider = with_simpler_laws(task, placed, refit, runs)
+        if unsized := [item for item in plain if not has_size(item, fit)]:
             notes.append(_UNSIZED.format(labels_of(placed), share, labels_of(unsized)))
             status = Status("unexplained", _NO_SIZE)
             continue
-        runs = free_runs(task, refit.plant)
         if judged(placed, share, residual_ratio, quiet) != verdict and not confirmed(prior, runs):
             break
         if holds(prior, runs):
-            plain, fit, runs, wider = with_simpler_laws(task, placed, refit, runs)
+            runs = plain_runs
             refused |= dict.fromkeys(wider, SIMPLER_LAW)
             if plain != placed:
                 notes.append(_WIDER_LAW.format(labels_of(placed), share))

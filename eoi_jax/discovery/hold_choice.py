@@ -10,9 +10,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 from jaxtyping import Bool, Float
 
-from eoi_jax.data.holds import SETTINGS, HoldChoice, with_hold
+from eoi_jax.data.holds import SETTINGS, HoldChoice, undeclared_hold, with_hold
 from eoi_jax.data.input_holds import Hold, held_inputs, hold_of_each, hold_text, shared
 from eoi_jax.data.record import Record
+from eoi_jax.discovery.judge import mean_error
 from eoi_jax.discovery.remarks import HoldNote
 from eoi_jax.discovery.result import Discovery, PartialExplanation
 from eoi_jax.discovery.rules import RULES
@@ -136,6 +137,45 @@ def with_best_hold(
     return replace(best.search, discovery=answer)
 
 
+def with_held_inputs(
+    discovery: Discovery,
+    answered: Callable[[Records, Records], Discovery],
+    records: Records,
+    held_out: Records,
+) -> Discovery:
+    """The answer, or that with held inputs where it has a delay of half a sample.
+
+    Held inputs act half a sample later than what goes on between samples. The injection may explain
+    the latter with such a delay and further effects, and leave the former to the search in free
+    runs, which then is not asked. Of both answers that with smaller errors on held-out records
+    counts; where they are alike that with fewer effects.
+
+    Args:
+        discovery: the answer.
+        answered: gives that on records to fit and records that judge.
+        records: to fit, as given.
+        held_out: that judge, as given.
+    """
+    names, period, hold = records[0].input_names, records[0].sample_period, undeclared_hold(records)
+    if hold is None or discovery.in_sample:
+        return discovery
+    delays, words = _stand_ins(discovery), hold_of_each(discovery.held_out[0].hold, len(names))
+    half_samples = [abs(delays.get(name, 0.0) / period - 0.5) < _RULES.half for name in names]
+    zeros = ["zero" if late else word for late, word in zip(half_samples, words, strict=True)]
+    if zeros == list(words):
+        return discovery
+    parts = (with_hold(part, shared(zeros)) for part in (records, held_out))
+    rival = answered(*parts)
+    errors = [mean_error((answer.after, answer.windows_after)) for answer in (rival, discovery)]
+    if rival.status.code not in ("complete", "partial"):
+        return discovery
+    fewer = len(rival.added) < len(discovery.added)
+    if errors[0] > errors[1] + (RULES.judge.same_error if fewer else -RULES.judge.min_fall):
+        return discovery
+    text = HoldNote(_HELD.format(hold_text(shared(zeros), names), hold_text(shared(words), names)))
+    return replace(rival, notes=(text, *rival.notes))
+
+
 def _worth_a_search(
     best: _Trial, fits: dict[Hold, Identification], names: Sequence[str]
 ) -> list[Hold]:
@@ -249,3 +289,9 @@ def _power(
 ) -> float:
     means = [np.mean(injection[use, j] ** 2) for j, use in enumerate(common.T) if np.any(use)]
     return float(np.exp(np.mean(np.log(np.maximum(means, 1e-300))))) if means else float("inf")
+
+
+_HELD = (
+    "hold {}: free runs on the held-out records have no larger errors, with fewer effects, than "
+    "with {} and half a sample of delay"
+)

@@ -253,7 +253,7 @@ def odds(rival: FreeRuns, chosen: FreeRuns, further: float = 0.0) -> float:
 
 
 def probability_better(
-    first: FreeRuns, second: FreeRuns, margin: float = 0.0, alike: float = 0.0
+    first: FreeRuns, second: FreeRuns, margin: float = 0.0, shared_error: float = 0.0
 ) -> float:
     """Probability that a model predicts better than another, by the mean error of their free runs.
 
@@ -264,7 +264,7 @@ def probability_better(
         first: free runs of the model.
         second: those of the other one, on the same records.
         margin: difference of mean errors by which the first must be better.
-        alike: standard error of what all blocks have in common.
+        shared_error: standard error of what all blocks have in common.
     """
     from scipy.special import stdtr  # only discovery needs it
 
@@ -278,7 +278,7 @@ def probability_better(
     fall = float(np.mean([fall for fall, _ in falls])) - margin
     counting = np.any([_block_sums(run)[1] > 0 for run, _ in pairs], axis=(0, 2))
     influence = np.mean([part for _, part in falls], axis=0)[counting]
-    error = np.hypot(np.std(influence, ddof=1) / np.sqrt(len(influence)), alike)
+    error = np.hypot(np.std(influence, ddof=1) / np.sqrt(len(influence)), shared_error)
     return float(stdtr(len(influence) - 1, fall / max(error, np.finfo(float).tiny)))
 
 

@@ -5,15 +5,19 @@ residual of a few samples around rest distinguishes Stribeck friction from dry f
 level: a spike narrower than the motion in one sample fits the error of the smoothed states there.
 A free run has no smoothed states, so it shows whether the wider law improves the model.
 Asymmetric friction, read as a level and an offset, contains the level alone.
+
+So it is with laws that end in simpler ones: the quadratic characteristic of an actuator, whose
+linear part is lost, in the square of its input.
 """
 
 from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
 
 import numpy as np
 
 from eoi_jax.discovery.confirm import as_good
 from eoi_jax.discovery.judge import odds
-from eoi_jax.discovery.refit import free_runs
+from eoi_jax.discovery.refit import free_runs, window_of
 from eoi_jax.discovery.round import Task
 from eoi_jax.discovery.rules import RULES
 from eoi_jax.estimation.identify import Identification, estimate
@@ -21,6 +25,7 @@ from eoi_jax.models.augmented import Placed, augmented, place
 from eoi_jax.models.effects import ConstantOffset, CoulombFriction
 from eoi_jax.models.effects.effect import AbstractEffect, AbstractTerm
 from eoi_jax.models.plant import Plant
+from eoi_jax.refinement.refine import refine_once
 from eoi_jax.simulation.validate import FreeRuns
 
 _RULES = RULES.answer
@@ -46,6 +51,8 @@ def with_simpler_laws(
     """
     for wide, plain, simpler_set in simpler(task.plant, fit, placed, task.effects):
         refit = estimate(plain, task.prepared)
+        if wide.effect.limit() is not None:
+            refit = _by_free_runs(task, refit)
         simple_runs = free_runs(task, refit.plant)
         if refit.status.ok and as_good(simple_runs, runs):
             laws = dict.fromkeys({*simpler_set} - {*placed}, odds(runs, simple_runs, 1.0))
@@ -54,13 +61,26 @@ def with_simpler_laws(
     return placed, fit, runs, {}
 
 
+def _by_free_runs(task: Task, fit: Identification) -> Identification:
+    """A fit at the parameters with the smallest errors of free runs.
+
+    The wide law has the parameters of the search, which treats a bent input to fourth order; passes
+    take its mean over a step first.
+    """
+    window = window_of(task, task.records)
+    refined = refine_once(fit.plant, task.records, window)
+    if not refined.status.fits:
+        return fit
+    return replace(estimate(refined.plant, task.prepared, passes=1), status=fit.status)
+
+
 def simpler(
     declared: Plant,
     estimate: Identification,
     placed: Sequence[Placed],
     library: Sequence[AbstractEffect],
 ) -> Iterator[tuple[Placed, Plant, tuple[Placed, ...]]]:
-    """Each effect that contains exactly one simpler effect, with the simpler model.
+    """Each effect that contains exactly one simpler effect, or ends in one, with the simpler model.
 
     Args:
         declared: the plant without effects.
@@ -76,6 +96,9 @@ def simpler(
         remaining = (*placed[:i], *placed[i + 1 :])
         if _is_negligible_offset(estimate, wide, remaining):
             yield wide, _plant_with(declared, estimate.plant, remaining, {}), remaining
+        if (law := wide.effect.limit()) is not None:
+            candidate = (*placed[:i], place(declared, law, wide.channel), *placed[i + 1 :])
+            yield wide, _plant_with(declared, estimate.plant, candidate, {}), candidate
         for effect in library:
             if isinstance(effect, AbstractTerm) and wide.effect.contains == (effect.name,):
                 plain = place(declared, effect, wide.channel, wide.against, wide.through)

@@ -39,10 +39,10 @@ def partial_where_more_is_left(discovery: Discovery) -> Discovery:
     if not beyond_noise(runs, discovery.held_out):
         return discovery
     before = discovery.before if discovery.windows_after is None else discovery.windows_before
-    alike = before is not None and error_ratio(runs, before) > RULES.answer.confirmed
-    if discovery.explained >= RULES.answer.explained and not alike:
+    unimproved = before is not None and error_ratio(runs, before) > RULES.answer.confirmed
+    if discovery.explained >= RULES.answer.explained and not unimproved:
         return discovery
-    left = f"{_MORE_LEFT}, hardly less than before" if alike else _MORE_LEFT
+    left = f"{_MORE_LEFT}, hardly less than before" if unimproved else _MORE_LEFT
     return replace(discovery, status=Status("partial", f"{status.message}; {left}"))
 
 
@@ -57,14 +57,14 @@ def with_differences(discovery: Discovery, records: Sequence[Record]) -> Discove
     fitted = discovery.found.status.fits and not discovery.plant.has_algebraic
     if discovery.status.code not in ("partial", "unexplained") or runs is None or not fitted:
         return discovery
-    alike = with_hold(tuple(records), judging[0].hold, judging[0].skew)
-    everything = alike if discovery.in_sample else (*alike, *judging)
-    if not 2 <= len(everything) <= _RULES.most:
+    fit_records = with_hold(tuple(records), judging[0].hold, judging[0].skew)
+    compared = fit_records if discovery.in_sample else (*fit_records, *judging)
+    if not 2 <= len(compared) <= _RULES.most:
         return discovery
     notes = [
         note
         for output in range(len(discovery.plant.outputs))
-        if (note := _offsets(discovery.plant, output, everything, runs.window))
+        if (note := _offsets(discovery.plant, output, compared, runs.window))
     ]
     return replace(discovery, notes=(*discovery.notes, *notes))
 
@@ -80,18 +80,18 @@ def _offsets(
     placed = place(plant, ConstantOffset(), output)
     model = augmented(plant, (placed,), {placed.names[0]: 0.0}).declared_anew(fixed=plant.names)
     common = refine_once(model, records, window)
-    own = [refine_once(model, (record,), window) for record in records]
-    if not all(fit.status.fits for fit in (common, *own)):
+    single_fits = [refine_once(model, (record,), window) for record in records]
+    if not all(fit.status.fits for fit in (common, *single_fits)):
         return None
     sizes = [record.output_valid[:, output].sum() for record in records]
-    power = np.average([fit.rmse[output] ** 2 for fit in own], weights=sizes)
+    power = np.average([fit.rmse[output] ** 2 for fit in single_fits], weights=sizes)
     ratio = float(np.sqrt(power) / common.rmse[output])
-    if not ratio < RULES.answer.confirmed or not _differ(own, placed):
+    if not ratio < RULES.answer.confirmed or not _differ(single_fits, placed):
         return None
     (name,) = placed.names
     values = ", ".join(
         f"{fit.parameters[name]:.3g} ± {fit.standard_errors[name]:.1g} in {record}"
-        for fit, record in zip(own, _names(records), strict=True)
+        for fit, record in zip(single_fits, _names(records), strict=True)
     )
     return FitNote(_DIFFER.format(plant.outputs[output], ratio, values))
 

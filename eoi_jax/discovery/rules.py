@@ -335,6 +335,7 @@ class HoldRules:
         longest: such time that may be one of the logger [sample periods]: a skew of one, and half
             a one between what was held and what goes on.
         shortest: skew that is told from none [sample periods].
+        half: distance from half a sample within which a delay may be a hold [sample periods].
         better: relative fall of the index of a final model from which on a search follows with
             another hold of a single input of several: one that hardly drives the plant fits alike
             with all.
@@ -347,6 +348,7 @@ class HoldRules:
     stand_ins: tuple[str, ...] = ("input_delay", "actuator_lag")
     longest: float = 1.5
     shortest: float = 0.02
+    half: float = 0.15
 
 
 @dataclass(frozen=True)

@@ -98,6 +98,7 @@ CLASSES: Mapping[str, str] = {
     "InputDeadZone": "models.effects.inputs",
     "InputDelay": "models.effects.inputs",
     "InputQuadratic": "models.effects.inputs",
+    "InputSquare": "models.effects.inputs",
     "InputSaturation": "models.effects.inputs",
     "InputRate": "models.effects.inputs",
     "InputModulation": "models.effects.inputs",

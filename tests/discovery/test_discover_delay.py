@@ -4,6 +4,7 @@ from functools import cache
 
 import numpy as np
 import pytest
+from scipy.integrate import solve_ivp
 
 import eoi_jax as eoi
 from eoi_jax.discovery.cosine_modes import modal_record, model_rows
@@ -82,3 +83,32 @@ def test_lags_are_where_a_residual_follows_the_input_and_nowhere_else():
     noise = np.random.default_rng(0).standard_normal(len(residual))
     assert len(lags(DECLARED, [one], noise, np.ones(len(residual)), 0)) == 0
     assert len(lags(DECLARED, [one], 0.0 * noise, power, 0)) == 0
+
+
+def driven_slowly(seed, count=60, period=0.5):
+    """v' = u - 0.3 v - 0.2 v |v|, with an input in steps of six samples and its hold unsaid."""
+    draw = np.random.default_rng(seed)
+    push = np.repeat(np.abs(draw.uniform(-3.0, 3.0, count // 6 + 1)), 6)[:count]
+    v, speed = np.empty(count), 0.0
+    for i in range(count):
+        v[i] = speed
+        speed = solve_ivp(
+            lambda _, v, u=push[i]: u - 0.3 * v - 0.2 * v * np.abs(v), (0.0, period), [speed],
+            rtol=1e-9,
+        ).y[0, -1]  # fmt: skip
+    v += 1e-2 * np.std(v) * draw.standard_normal(count)
+    return eoi.Record(period * np.arange(count), push, v, input_names="push", output_names="v")
+
+
+@pytest.mark.slow
+def test_half_a_sample_of_delay_is_a_hold():
+    """The injection has no law for such drag, and a delay with two other effects explains it."""
+    plant = eoi.Plant(
+        lambda t, x, u, p: p.b * u[0] - p.a * x.y[0], {"b": 0.8, "a": 0.5}, 1, ("push",), ("v",)
+    )
+    found = eoi.discover(plant, driven_slowly(1), validation=driven_slowly(2))
+    assert "input_delay" not in found.effects
+    assert found.held_out[0].hold == "zero"
+    assert found.status.code == "complete"
+    assert len(found.effects) == 1
+    assert any("half a sample of delay" in note for note in found.notes)

@@ -8,7 +8,6 @@ import pytest
 import eoi_jax as eoi
 from eoi_jax import effects
 from eoi_jax._status import Status
-from eoi_jax.discovery.discover import _partial_where_more_is_left
 from eoi_jax.discovery.free_run_search import search_free_runs
 from eoi_jax.discovery.in_free_runs import (
     leaves_more,
@@ -16,6 +15,7 @@ from eoi_jax.discovery.in_free_runs import (
     unless_refined_is_better,
     with_further_effects,
 )
+from eoi_jax.discovery.remainder import partial_where_more_is_left
 from eoi_jax.models.augmented import augmented, place
 from eoi_jax.models.effects import Curve, Product
 
@@ -122,15 +122,22 @@ def test_a_model_that_a_constant_is_better_than_does_not_lack_nothing(found):
 def test_an_answer_to_a_part_is_partial_where_free_runs_show_the_rest(found):
     """Complete is what leaves noise in the injection and in free runs."""
     left = replace(judged_on(found, record({}, 4)), explained=0.6)
-    answer = _partial_where_more_is_left(left)
+    runs = left.windows_after
+    worse = replace(runs, nrmse=10.0 * runs.nrmse)
+    left = replace(left, before=worse, windows_before=worse)
+    answer = partial_where_more_is_left(left)
     assert answer.status.code == "partial"
     assert answer.status.message == (
         f"{left.status.message}; free runs on the held-out records miss by more than noise"
     )
-    assert _partial_where_more_is_left(replace(left, windows_after=None)).status == answer.status
-    assert _partial_where_more_is_left(replace(left, explained=0.95)).status == left.status
-    assert _partial_where_more_is_left(replace(left, in_sample=True)).status == left.status
-    assert _partial_where_more_is_left(found) == found
+    alike = replace(left, explained=0.95, windows_before=runs)
+    assert partial_where_more_is_left(alike).status.message == (
+        f"{answer.status.message}, hardly less than before"
+    )
+    assert partial_where_more_is_left(replace(left, windows_after=None)).status == answer.status
+    assert partial_where_more_is_left(replace(left, explained=0.95)).status == left.status
+    assert partial_where_more_is_left(replace(left, in_sample=True)).status == left.status
+    assert partial_where_more_is_left(found) == found
 
 
 def test_what_is_questioned(found):

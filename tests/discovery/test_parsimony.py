@@ -89,3 +89,42 @@ def test_an_offset_that_may_as_well_be_zero_is_left_out_beside_dry_friction(offs
     runs = free_runs(task, found.plant)
     left, *_ = parsimony.with_simpler_laws(task, placed, found, runs)
     assert left == (placed if kept else (both[0], far))
+
+
+def fan(seed, count=1000, period=0.02):
+    """A pendulum that a fan drives: y'' = 3 u|u| - 9 sin(y) - 0.6 y', in small steps."""
+    draw = np.random.default_rng(seed)
+    command = np.repeat(draw.uniform(-1.6, 1.6, count // 50), 50)
+    state, y, fine = np.zeros(2), np.empty(count), 10
+
+    def rate(x, u):
+        return np.array([x[1], 3.0 * u * abs(u) - 9.0 * np.sin(x[0]) - 0.6 * x[1]])
+
+    for i in range(count):
+        y[i] = state[0]
+        for _ in range(fine):
+            h, u = period / fine, command[i]
+            first = rate(state, u)
+            middle = rate(state + 0.5 * h * first, u)
+            again = rate(state + 0.5 * h * middle, u)
+            last = rate(state + h * again, u)
+            state = state + h / 6.0 * (first + 2.0 * middle + 2.0 * again + last)
+    y += 1e-3 * np.std(y) * draw.standard_normal(count)
+    return eoi.Record(
+        period * np.arange(count), command, y, hold="zero", input_names="cmd", output_names="angle"
+    )
+
+
+@pytest.mark.slow
+def test_a_drive_with_the_square_of_its_input_has_no_linear_part():
+    """The quadratic characteristic takes all, and no record tells its size beside a linear one."""
+    plant = eoi.Plant(
+        lambda t, x, u, p: p.b * u[0] - p.g * jnp.sin(x.y[0]) - p.d * x.y[1],
+        {"b": 3.0, "g": 8.0, "d": 0.5}, 2, inputs=("cmd",), outputs=("angle",),
+    )  # fmt: skip
+    found = eoi.discover(plant, fan(1), validation=fan(2))
+    assert [added.label for added in found.added] == ["input_square (odd)"]
+    assert found.status.code == "complete"
+    assert found.added[0].parameters == {}
+    for name, value in {"b": 3.0, "g": 9.0, "d": 0.6}.items():
+        assert found.plant.parameters[name] == pytest.approx(value, rel=5e-3)

@@ -33,6 +33,7 @@ from eoi_jax.models.effects.inputs import InputModulation as InputModulation
 from eoi_jax.models.effects.inputs import InputQuadratic as InputQuadratic
 from eoi_jax.models.effects.inputs import InputRate as InputRate
 from eoi_jax.models.effects.inputs import InputSaturation as InputSaturation
+from eoi_jax.models.effects.inputs import InputSquare as InputSquare
 from eoi_jax.models.effects.inputs import InputYield as InputYield
 from eoi_jax.models.effects.library import on_request as on_request
 from eoi_jax.models.effects.library import rare as rare

@@ -23,8 +23,8 @@ class Coupling(AbstractSignalProduct):
 
     def fits(self, plant: Plant, output: int) -> bool:
         """Where a signal of it is of another output, of this plant."""
-        elsewhere = any(signal.column != output for signal in self.outputs)
-        return elsewhere and super().fits(plant, output)
+        remote = any(signal.column != output for signal in self.outputs)
+        return remote and super().fits(plant, output)
 
 
 def couplings(plant: Plant) -> tuple[Coupling, ...]:

@@ -152,6 +152,10 @@ class AbstractEffect(ABC):
         """What a fit goes on to where this one fits; None for an effect of a single form."""
         return None
 
+    def limit(self) -> "AbstractEffect | None":
+        """What it becomes where a parameter grows without bound; None where that is no law."""
+        return None
+
     def since(self, start: float) -> "AbstractEffect":
         """The effect for records that start at this time; unchanged unless it depends on time."""
         del start

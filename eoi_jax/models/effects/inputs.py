@@ -88,6 +88,33 @@ class ErrorSaturation(AbstractInputEffect):
 
 
 @dataclass(frozen=True)
+class InputSquare(AbstractInputEffect):
+    """u|u| (of the sign of u), or u²: an actuator that gives the square of its input.
+
+    The thrust and the torque of a fan or a propeller, the force between a magnet and iron, the heat
+    of a resistor. The gain of the declared model takes it in.
+
+    Attributes:
+        odd: whether it is the first form.
+    """
+
+    name = "input_square"
+    sentence = "an actuator that gives the square of its input"
+    depends_on = "u"
+    only_in_free_runs = True
+
+    odd: bool = True
+
+    @property
+    def form(self) -> str:
+        """Whether it is an odd or an even function of u."""
+        return "odd" if self.odd else "even"
+
+    def changed(self, at: At, shape: Any) -> Any:
+        return at.u * (jnp.abs(at.u) if self.odd else at.u)
+
+
+@dataclass(frozen=True)
 class InputQuadratic(AbstractInputEffect):
     """u + q u|u| (an actuator whose gain grows), or u + q u² (one that differs between the signs).
 
@@ -99,6 +126,7 @@ class InputQuadratic(AbstractInputEffect):
     sentence = "an actuator with a quadratic characteristic"
     shapes = (Parameter("", "1/({u})"),)
     depends_on = "u"
+    contains = (InputSquare.name,)
 
     odd: bool = True
 
@@ -106,6 +134,9 @@ class InputQuadratic(AbstractInputEffect):
     def form(self) -> str:
         """Whether it is an odd or an even function of u."""
         return "odd" if self.odd else "even"
+
+    def limit(self) -> InputSquare:
+        return InputSquare(self.odd)
 
     def grid(self, seen: Seen) -> Grid:
         size = np.array([0.003, 0.012, 0.05, 0.15, 0.4, 1.0, 4.0, 20.0, 100.0])

@@ -75,8 +75,8 @@ class InputProduct(AbstractSignalProduct):
 
     def fits(self, plant: Plant, output: int) -> bool:
         """Where its output is the one of this equation."""
-        here = all(signal.column == output for signal in self.outputs)
-        return here and super().fits(plant, output)
+        local = all(signal.column == output for signal in self.outputs)
+        return local and super().fits(plant, output)
 
 
 # Both name no cause.

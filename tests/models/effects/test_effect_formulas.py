@@ -20,6 +20,7 @@ from eoi_jax.models.effects.effect import (
 from eoi_jax.models.effects.products import ModulatedSinusoid, Product
 
 ALL = (
+    effects.InputSquare(odd=True), effects.InputSquare(odd=False),
     *effects.standard(), *effects.rare(), *effects.wider(), *effects.on_request(),
     effects.Drift(start=2.5),
 )  # fmt: skip
@@ -94,6 +95,8 @@ CLOSED: dict[AbstractEffect, Callable[..., Any]] = {
         u - s[0] if u > s[0] else u + s[0] if u < -s[0] else 0.0
     ),
     effects.InputSaturation(): lambda t, y, v, u, z, g, s: sorted((-s[0], u, s[0]))[1],
+    effects.InputSquare(odd=True): lambda t, y, v, u, z, g, s: np.copysign(u * u, u),
+    effects.InputSquare(odd=False): lambda t, y, v, u, z, g, s: u * u,
     effects.InputQuadratic(odd=True): lambda t, y, v, u, z, g, s: u + s[0] * np.copysign(u * u, u),
     effects.InputQuadratic(odd=False): lambda t, y, v, u, z, g, s: u + s[0] * u * u,
 }
