@@ -105,6 +105,7 @@ CLASSES: Mapping[str, str] = {
     "InputYield": "models.effects.inputs",
     "Hysteresis": "models.effects.memory",
     "SaturatingLoss": "models.effects.outflow",
+    "Relaxation": "models.effects.memory",
     "SecondNode": "models.effects.memory",
     "InternalOverflow": "models.effects.outflow",
     "Leak": "models.effects.outflow",

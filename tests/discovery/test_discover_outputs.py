@@ -2,6 +2,7 @@
 
 from typing import Any
 
+import jax.numpy as jnp
 import numpy as np
 import pytest
 from output_cases import BATTERY, accelerometer, battery, battery_record, current, mixed, shaken
@@ -21,6 +22,7 @@ from eoi_jax.estimation.identify import identify
 from eoi_jax.models.effects import ConstantOffset, QuadraticDrag
 from eoi_jax.models.effects.library import standard
 from eoi_jax.models.placements import placements
+from eoi_jax.models.plant import Plant
 from eoi_jax.refinement.refine import refine
 from eoi_jax.refinement.remaining import remaining
 
@@ -136,6 +138,22 @@ def test_an_offset_of_an_accelerometer_is_found(plant, outputs, name):
     found = discover(plant, records[:2], records[2])
     assert found.effects == ("constant_offset",)
     np.testing.assert_allclose(found.plant.parameters[name], 0.3, rtol=0.02)
+
+
+def test_a_pair_that_the_cell_lacks_is_found():
+    """Open-circuit voltage and drop are declared, the relaxation of the RC pair is not."""
+    plant = Plant(
+        lambda t, x, u, p: 3.4 + p.slope * x.z[0] - p.R0 * u[0], {"slope": 0.6, "R0": 0.03}, 0,
+        inputs=("current",), outputs=("voltage",), internal_initial=(0.8,),
+        internal=lambda t, x, u, p: jnp.stack([-u[0] / BATTERY["Q"]]),
+    )  # fmt: skip
+    found = discover(plant, cell_record(1), validation=cell_record(2))
+    assert found.effects == ("relaxation",)
+    assert found.status.code == "complete"
+    values = found.plant.parameters
+    assert values["relaxation_gain"] == pytest.approx(BATTERY["R1"], rel=0.03)
+    assert values["relaxation_time"] == pytest.approx(BATTERY["R1"] * BATTERY["C1"], rel=0.03)
+    assert values["R0"] == pytest.approx(BATTERY["R0"], rel=0.03)
 
 
 def test_effects_of_a_state_have_no_place_on_such_an_output():

@@ -23,7 +23,7 @@ from eoi_jax.models.effects.inputs import (
     InputSaturation,
     InputYield,
 )
-from eoi_jax.models.effects.memory import Hysteresis, SecondNode
+from eoi_jax.models.effects.memory import Hysteresis, Relaxation, SecondNode
 from eoi_jax.models.effects.outflow import (
     InternalOverflow,
     Leak,
@@ -125,12 +125,13 @@ def rare() -> tuple[AbstractEffect, ...]:
     """Effects that `discover` tries only where the standard ones leave a residual unexplained.
 
     Viscous friction that differs between the two directions: |v| is hard to distinguish from a
-    constant offset, which is far more common.
+    constant offset, which is far more common. Relaxation of an output that shows its input at once:
+    where that takes all of the input it is a lag of the actuator.
 
     Returns:
         One object of each form.
     """
-    return (AsymmetricViscousFriction(),)
+    return (AsymmetricViscousFriction(), Relaxation())
 
 
 def on_request() -> tuple[AbstractEffect, ...]:

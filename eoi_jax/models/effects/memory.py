@@ -85,3 +85,31 @@ class SecondNode(AbstractTerm):
         ends = states(np.full((1, 1), decay), np.full(1, -mean), change)[:, 0].T
         begins = np.concatenate([np.zeros((len(y), 1)), ends[:, :-1]], axis=1)
         return np.stack([begins, 0.5 * (begins + ends), ends], axis=-1)[None]
+
+
+class Relaxation(AbstractTerm):
+    r"""-a z, τ dz/dt = u - z: a part of an output that follows the input with a lag.
+
+    The voltage of an RC pair of a battery, diffusion, creep of a sensor. It fits an output that is
+    a function of the states and of the input (relative degree 0), which shows the drop at once; z is
+    zero at the start of a record.
+    """
+
+    name = "relaxation"
+    sentence = "a part that follows the input with a lag (relaxation, an RC pair)"
+    gains = (Parameter("gain", ""),)
+    shapes = (Parameter("time", "s", lower=0.0),)
+    states = 1
+    depends_on = "u"
+
+    def fits(self, plant: Plant, output: int) -> bool:
+        return plant.degrees[output] == 0 and bool(plant.inputs)
+
+    def grid(self, seen: Seen) -> Grid:
+        return np.geomspace(2.0 * seen.sample_period, 0.5 * seen.duration, 12)[:, None]
+
+    def rate(self, at: At, shape: Any) -> Any:
+        return (at.u - at.z) / shape[0]
+
+    def term(self, at: At, gain: Any, shape: Any) -> Any:
+        return -gain[0] * at.z[0]

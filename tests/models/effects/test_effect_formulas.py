@@ -66,6 +66,7 @@ CLOSED: dict[AbstractEffect, Callable[..., Any]] = {
         np.hypot(*g) * np.cos(s[0] * t - np.arctan2(g[0], g[1]))
     ),
     effects.Hysteresis(): lambda t, y, v, u, z, g, s: -g[0] * z[0],
+    effects.Relaxation(): lambda t, y, v, u, z, g, s: -g[0] * z[0],
     effects.SecondNode(): lambda t, y, v, u, z, g, s: g[0] * z[0],
     effects.Product("u", "y"): lambda t, y, v, u, z, g, s: g[0] * u * y,
     effects.Product("u", "v"): lambda t, y, v, u, z, g, s: g[0] * u * v,
