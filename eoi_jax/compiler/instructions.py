@@ -111,14 +111,14 @@ def output_places(program: LaneProgram, body: Body, width: int) -> list[slice]:
     return [slice(int(a), int(b)) for a, b in itertools.pairwise(ends)]
 
 
-def source(program: LaneProgram, where: Layout, dtype: Any) -> str:
+def source(program: LaneProgram, memory: Layout, dtype: Any) -> str:
     """All loops in LLVM's language: `lanes`, and `shared` before it where they read rows."""
     text = Text("float" if np.dtype(dtype) == np.float32 else "double")
-    if where.inline:
-        _Loop(text, "lanes", program, program.whole_body, where, where.columns).write()
+    if memory.inline:
+        _Loop(text, "lanes", program, program.whole_body, memory, memory.columns).write()
     else:
-        _Loop(text, "shared", program, program.shared_body, where, where.columns).write()
-        _Loop(text, "lanes", program, program.lane_body, where, len(program.shared)).write()
+        _Loop(text, "shared", program, program.shared_body, memory, memory.columns).write()
+        _Loop(text, "lanes", program, program.lane_body, memory, len(program.shared)).write()
     return module(text)
 
 
@@ -154,12 +154,12 @@ class _Loop:
         name: str,
         program: LaneProgram,
         body: Body,
-        where: Layout,
+        memory: Layout,
         columns: int,
     ):
         self._text, self._name, self._columns = text, name, columns
-        self._program, self._body, self._layout = program, body, where
-        self._places = output_places(program, body, where.width)
+        self._program, self._body, self._layout = program, body, memory
+        self._places = output_places(program, body, memory.width)
         self._scalar, self._vector = self._scopes()
         self._fixed: dict[Node, tuple[str, str]] = {}
         self._constants: dict[Node, str] = {}
@@ -234,27 +234,27 @@ class _Loop:
 
     def _memory_places(self) -> dict[int, tuple[str, int]]:
         """Where each carried number lies between two calls."""
-        where = self._layout
-        scalars = {i: ("%scalars", where.scalars[i]) for i in self._body.scalars}
-        vectors = {i: ("%vector.at", where.carries[i] * where.width) for i in self._body.vectors}
+        memory = self._layout
+        scalars = {i: ("%scalars", memory.scalars[i]) for i in self._body.scalars}
+        vectors = {i: ("%vector.at", memory.carries[i] * memory.width) for i in self._body.vectors}
         return scalars | vectors
 
     def _read_memory(self) -> None:
         """Carries, and what stays the same in all rows."""
-        text, where = self._text, self._layout
+        text, memory = self._text, self._layout
         scalar, vector = self._scalar, self._vector
-        offset = text.let(f"mul i64 %number, {where.rows * where.width}")
+        offset = text.let(f"mul i64 %number, {memory.rows * memory.width}")
         text.add(f"  %vector.at = getelementptr {text.real}, ptr %memory, i64 {offset}")
         for i, (pointer, place) in self._memory_places().items():
             kind = self._kind(i)
             text.add(f"  store {kind} {text.load(pointer, place, kind)}, ptr %c{i}")
-        for node, place in where.fixed.items():
+        for node, place in memory.fixed.items():
             number = text.load("%fixed", place)
             wide = as_flag(vector, text, node, vector.spread(number, text.real))
             self._fixed[node] = as_flag(scalar, text, node, number), wide
         if self._body.vectors:
-            for node, row in where.constants.items():
-                number = text.load("%vector.at", row * where.width, vector.real)
+            for node, row in memory.constants.items():
+                number = text.load("%vector.at", row * memory.width, vector.real)
                 self._constants[node] = as_flag(vector, text, node, number)
 
     def _write_memory(self) -> None:

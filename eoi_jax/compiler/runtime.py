@@ -44,7 +44,7 @@ class CompiledLoop:
     """A loop as code of this machine.
 
     Attributes:
-        program: what it computes. where: its numbers lie.
+        program: what it computes. places: of its numbers in memory.
         outputs: where each lies in a row of outputs; one column if all lanes share it.
         lanes: the loop of the lanes.
         shared: that of what lanes share, whose outputs are the rows of `lanes`; None if inline.
@@ -53,7 +53,7 @@ class CompiledLoop:
     """
 
     program: LaneProgram
-    where: Layout
+    places: Layout
     outputs: list[slice]
     lanes: Callable
     shared: Callable | None
@@ -75,7 +75,7 @@ class CompiledLoop:
         self, lanes: Float[np.ndarray, "numbers lanes"], fixed: Float[np.ndarray, "runs shared"]
     ) -> list["Run"]:
         """Several runs before their first rows, with what is fixed in each; else as `begin`."""
-        program, where, dtype = self.program, self.where, self.dtype
+        program, places, dtype = self.program, self.places, self.dtype
         runs, count = len(fixed), lanes.shape[1]
         groups = {"lane": lanes[:, None], "fixed": fixed.T[..., None]}
 
@@ -96,13 +96,13 @@ class CompiledLoop:
         shared, scalars = (table(part, 1, spare=1)[..., 0] for part in program.first_row[2:])
         spoilt = np.any(np.isnan(constants), axis=1)
         rows = np.concatenate([carries, constants], axis=1)
-        vectors = -(-count // where.width)
+        vectors = -(-count // places.width)
         # Beyond the last lane it is repeated: any numbers do, but these cost no slow path.
-        padding = np.minimum(np.arange(vectors * where.width), count - 1)
-        lines = rows[..., padding].reshape(*rows.shape[:2], vectors, where.width)
+        padding = np.minimum(np.arange(vectors * places.width), count - 1)
+        lines = rows[..., padding].reshape(*rows.shape[:2], vectors, places.width)
         begun = []
         for run in range(runs):
-            memory = _aligned((vectors, where.rows, where.width), dtype)
+            memory = _aligned((vectors, places.rows, places.width), dtype)
             memory[:, : rows.shape[1]] = np.moveaxis(lines[run], 0, 1)
             begun.append(Run(self, count, shared[run], scalars[run], memory, spoilt[run], padding))
         return begun
@@ -127,14 +127,14 @@ def compiled_loop(
     program = cached_program(loop)
     if inline:
         lanes = width_for(lanes or 1, loop.dtype)
-    where = layout(program, columns, loop.dtype, lanes, inline)
+    places = layout(program, columns, loop.dtype, lanes, inline)
     # Of lanes one by one like operations side by side become vectors; in vectors there are none.
-    owner = machine_code(source(program, where, loop.dtype), slp=not inline)
+    owner = machine_code(source(program, places, loop.dtype), slp=not inline)
     body = program.whole_body if inline else program.lane_body
     names = ("lanes",) if inline else ("lanes", "shared")
     functions = [_FUNCTION(owner.get_function_address(name)) for name in names]
-    outputs = output_places(program, body, where.width)
-    return CompiledLoop(program, where, outputs, functions[0],
+    outputs = output_places(program, body, places.width)
+    return CompiledLoop(program, places, outputs, functions[0],
                         None if inline else functions[1], loop.dtype, owner)  # fmt: skip
 
 
@@ -222,11 +222,11 @@ class Run:
 
     def carried(self, number: Any) -> Any:
         """A carried number: of each lane, or a single one that they share."""
-        program, where = self.code.program, self.code.where
+        program, places = self.code.program, self.code.places
         i = program.representatives[number]
-        if i in where.carries:
-            return self.memory[:, where.carries[i]].reshape(-1)[: self.lanes]
-        return self.scalars[where.scalars[i]] if i in where.scalars else program.initial[i].value
+        if i in places.carries:
+            return self.memory[:, places.carries[i]].reshape(-1)[: self.lanes]
+        return self.scalars[places.scalars[i]] if i in places.scalars else program.initial[i].value
 
     def result(self) -> Any:
         """What the loop wants in the end, the lanes as leading axis; NaN for those spoilt."""
@@ -250,8 +250,8 @@ class Run:
         if rare.values is None or rare.blocks is None:
             return flags, nowhere, no_blocks
         values = np.asarray(rare.values, self.code.dtype)
-        lines = values[self.padding].reshape(-1, self.code.where.width, values.shape[1])
-        by_vector = _aligned((len(lines), values.shape[1], self.code.where.width), lines.dtype)
+        lines = values[self.padding].reshape(-1, self.code.places.width, values.shape[1])
+        by_vector = _aligned((len(lines), values.shape[1], self.code.places.width), lines.dtype)
         by_vector[...] = lines.transpose(0, 2, 1)
         blocks = np.minimum(rare.blocks, values.shape[1] - 1)
         return flags, blocks.astype(np.int64), by_vector

@@ -186,7 +186,7 @@ def summed(
     jobs = [
         _Job(code, kernel, lanes, tables, steps, counts, run, part)
         for run in range(runs)
-        for part in _parts(lane_count, code.where.width, runs)
+        for part in _parts(lane_count, code.places.width, runs)
     ]
     sums = np.empty((lane_count, runs, *code.program.result.shape))
     waiting = iter(jobs)

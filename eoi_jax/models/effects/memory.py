@@ -91,8 +91,8 @@ class Relaxation(AbstractTerm):
     r"""-a z, τ dz/dt = u - z: a part of an output that follows the input with a lag.
 
     The voltage of an RC pair of a battery, diffusion, creep of a sensor. It fits an output that is
-    a function of the states and of the input (relative degree 0), which shows the drop at once; z is
-    zero at the start of a record.
+    a function of the states and of the input (relative degree 0), which shows the drop at once; z
+    is zero at the start of a record.
     """
 
     name = "relaxation"
