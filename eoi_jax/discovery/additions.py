@@ -73,8 +73,15 @@ def sensor_notes(plant: Plant, added: Sequence[Added]) -> list[str]:
     """Notes on delays and lags that the sensor may have as well as the actuator, or the other way.
 
     What is linear and does not change in time commutes: behind such a plant of one input and one
-    output the records are the same.
+    output the records are the same. Where nothing drives a plant, a lag is one more mode of it.
     """
+    if (len(plant.inputs), len(plant.outputs)) == (0, 1):
+        return [
+            f"a second store does the same as the lag of the sensor of {plant.outputs[0]}, for "
+            "nothing drives the plant"
+            for addition in added
+            if addition.effect.name == SensorLag.name
+        ]
     if (len(plant.inputs), len(plant.outputs)) != (1, 1):
         return []
     sensor, actuator = f"the sensor of {plant.outputs[0]}", f"the actuator of {plant.inputs[0]}"

@@ -119,7 +119,10 @@ class SensorLag(AbstractCascade):
 
         y^(r) = z/τ,   ż = f(x, ẋ, …; u) - z/τ,   x^(k) = y^(k) + τ y^(k+1),  k < r - 1.
 
-    It may be anywhere at the start of a run.
+    It may be anywhere at the start of a run. In free motion it is but one more mode e^(-t/τ) of the
+    plant, and bends the beginning of a short record as well as many laws do: what swings has a lag
+    only where an input, or another output, shows what it is late of. Of a first-order output it
+    stands for a second store as well, whose content nobody knows.
     """
 
     name = "sensor_lag"
@@ -130,11 +133,16 @@ class SensorLag(AbstractCascade):
     only_in_free_runs = True
     states = 1
     behind_output = True
-    needs = "an output that is a state, without dry friction"
+    needs = (
+        "an output that is a state, without dry friction, and beyond the first order "
+        "with an input or another output that it can lag behind"
+    )
 
     def fits(self, plant: Plant, output: int) -> bool:
         jumps = plant.jumps  # dry friction sticks at a measured velocity only
-        return plant.degrees[output] > 0 and not (jumps[output].any() or jumps[:, output].any())
+        if plant.degrees[output] == 0 or jumps[output].any() or jumps[:, output].any():
+            return False
+        return plant.degrees[output] == 1 or bool(plant.inputs) or len(plant.outputs) > 1
 
     def grid(self, seen: Seen) -> Grid:
         return lag_times(seen)
