@@ -16,6 +16,7 @@ from benchmarks.measured import measured_rigs as rigs
 from benchmarks.measured import wiener_hammerstein as circuit
 from benchmarks.measured.found_cases import FIRST, FOUND
 from benchmarks.measured.found_driven_cases import DRIVEN
+from benchmarks.measured.found_fresh_cases import FRESH
 from benchmarks.measured.found_late_cases import LATE
 from benchmarks.measured.found_sets import sets_directory
 from benchmarks.measured.found_short_cases import SHORT
@@ -96,7 +97,8 @@ def test_a_seed_sets_half_of_the_found_cases_aside(seed, cases):
 
 def test_the_late_cases_are_all_set_aside():
     assert len(LATE) == 8
-    assert all(case.aside for case in LATE.values())
+    assert len(FRESH) == 5
+    assert all(case.aside for case in (*LATE.values(), *FRESH.values()))
 
 
 def test_an_absent_set_is_skipped_with_its_source(monkeypatch, tmp_path, capsys):
