@@ -12,7 +12,9 @@ the model with the effect (`judge.probability_better`),
 
     P(e) = 1 / (1 + Σ_rivals p/(1 - p)) ,
 
-over models without any effect in its place, and with the one that does best there.
+over models without any effect in its place, and with the one that does best there. What does the
+same as a sensor's lag, and no fit has, is as probable: a second store where nothing drives the
+plant, a lag of the actuator behind what the answer does to its input.
 
 Either is a probability among the effects of the library. What is left may have a cause that the
 library lacks, and an effect that takes less than that may be a part of it: with D the power that an
@@ -29,8 +31,15 @@ from eoi_jax.discovery.judge import Judged, noise_level, odds
 from eoi_jax.discovery.result import Rival
 from eoi_jax.discovery.rules import RULES
 from eoi_jax.models.augmented import Placed
-from eoi_jax.models.effects import AsymmetricFriction, ConstantOffset
-from eoi_jax.models.placements import ends, position_text
+from eoi_jax.models.effects import (
+    ActuatorLag,
+    AsymmetricFriction,
+    ConstantOffset,
+    SecondNode,
+    SensorLag,
+)
+from eoi_jax.models.effects.effect import AbstractInputEffect
+from eoi_jax.models.placements import ends, placements, position_text
 from eoi_jax.models.plant import Plant
 
 _RULES = RULES.probability
@@ -163,9 +172,24 @@ def from_contests(
             if rivals and place not in _places(trial) and not reads_as(rivals[0], placed):
                 found = odds(trial.runs, chosen.runs, trial.burden - chosen.burden)
                 against[rivals[0]] = max(found, against.get(rivals[0], 0.0))
+        against |= dict.fromkeys(_twins(plant, placed, best.placed), 1.0)
         removed = _power(contest.origin.error) - _power(chosen.error)
         standings[placed] = standing(plant, _one_of_each_place(against)).beside(removed, remainder)
     return standings
+
+
+def _twins(plant: Plant, placed: Placed, present: Sequence[Placed]) -> list[Placed]:
+    """What the records cannot tell from a sensor's lag, and no fit has.
+
+    A store beside the first one has poles as free as those of the plant and its sensor. What a lag
+    does to an input comes before its dead zone or curve in the library, but behind it in a drive.
+    """
+    if not isinstance(placed.effect, SensorLag) or len(plant.outputs) != 1:
+        return []
+    if not plant.inputs:
+        return placements(plant, [SecondNode()])
+    shaped = any(isinstance(item.effect, AbstractInputEffect) for item in present)
+    return placements(plant, [ActuatorLag()]) if shaped and len(plant.inputs) == 1 else []
 
 
 def _one_of_each_place(against: Mapping[Placed | None, float]) -> dict[Placed | None, float]:

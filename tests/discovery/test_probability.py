@@ -219,6 +219,30 @@ def test_models_with_another_effect_of_the_answer_are_no_rivals():
     assert from_contests(MASS, both, both.placed, [second]).keys() == {OFFSET}
 
 
+def test_what_does_the_same_as_a_lag_of_the_sensor_is_as_probable():
+    """A second store of what empties; behind a dead zone a lag of the actuator."""
+    random = np.random.default_rng(3)
+
+    def level(size):
+        return runs_with(size * np.exp(random.normal(0.0, 0.2, 10)))
+
+    tank = eoi.Plant(lambda t, x, u, p: -p.k * x.y[0], {"k": 1.0}, 1, (), ("charge",))
+    valve = eoi.Plant(lambda t, x, u, p: u - p.k * x.y[0], {"k": 1.0}, 1, ("flow",), ("level",))
+    zone = place(valve, effects.InputDeadZone(), 0)
+    for plant, beside, twin in ((tank, (), "second_node"), (valve, (zone,), "actuator_lag")):
+        lag = place(plant, effects.SensorLag(), 0)
+        origin, chosen = model((), level(1.0)), model((lag, *beside), level(0.02))
+        found = from_contests(plant, chosen, [lag], [Contest(origin, chosen, (chosen,))])[lag]
+        assert 0.4 < found.probability <= 0.5
+        assert [rival.effect for rival in found.rivals] == [twin]
+        assert found.rivals[0].probability == pytest.approx(found.probability, rel=1e-3)
+    lag = place(valve, effects.SensorLag(), 0)
+    alone = model((lag,), level(0.02))
+    told = from_contests(valve, alone, [lag], [Contest(model((), level(1.0)), alone, (alone,))])
+    assert told[lag].probability > 0.9
+    assert told[lag].rivals == ()
+
+
 class Known(Judge):
     """A judge that knows the errors of models, by their gain."""
 
