@@ -206,8 +206,8 @@ def ruler_robot(folder: Path) -> Rig:
     columns = {name: column[::2] for name, column in columns.items()}
     return Rig(
         plant, records(plant, columns, quarters(684)),
-        {"angle": (9.95, 9.95)}, {"angle": (1.85, 1.85)}, (), "counts", windows=1,
-        remark="the ruler bends: a swing of its own, which no effect of the library says",
+        {"angle": (9.95, 9.95)}, {"angle": (1.85, 1.85)}, ("second_mass",), "counts", windows=1,
+        remark="the ruler bends: a mass behind a spring; a delay of half a sample is probable",
     )  # fmt: skip
 
 

@@ -106,6 +106,7 @@ CLASSES: Mapping[str, str] = {
     "Hysteresis": "models.effects.memory",
     "SaturatingLoss": "models.effects.outflow",
     "Relaxation": "models.effects.memory",
+    "SecondMass": "models.effects.memory",
     "SecondNode": "models.effects.memory",
     "InternalOverflow": "models.effects.outflow",
     "Leak": "models.effects.outflow",

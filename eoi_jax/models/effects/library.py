@@ -23,7 +23,7 @@ from eoi_jax.models.effects.inputs import (
     InputSaturation,
     InputYield,
 )
-from eoi_jax.models.effects.memory import Hysteresis, Relaxation, SecondNode
+from eoi_jax.models.effects.memory import Hysteresis, Relaxation, SecondMass, SecondNode
 from eoi_jax.models.effects.outflow import (
     InternalOverflow,
     Leak,
@@ -91,10 +91,10 @@ def standard() -> tuple[AbstractEffect, ...]:
 def wider() -> tuple[AbstractEffect, ...]:
     """Effects that `discover` tries in free runs alone, where nothing else is an answer.
 
-    Products of signals, damping with the square of the displacement, a second store, a loss with a
-    power of the output, one that saturates, radiation, a yield law, a limited control error, a
-    response to the rate of the input, a lag of the sensor, cells in series (two; a fit goes on to
-    3, 6 and 12).
+    Products of signals, damping with the square of the displacement, a second mass, a second store,
+    a loss with a power of the output, one that saturates, radiation, a yield law, a limited control
+    error, a response to the rate of the input, a lag of the sensor, cells in series (two; a fit
+    goes on to 3, 6 and 12).
 
     Returns:
         One object of each form.
@@ -108,6 +108,7 @@ def wider() -> tuple[AbstractEffect, ...]:
         Product("y", "y", "y"),
         Product("y", "v", "v"),
         DisplacementDamping(),
+        SecondMass(),
         SecondNode(),
         PowerLoss(),
         SaturatingLoss(),

@@ -113,3 +113,57 @@ class Relaxation(AbstractTerm):
 
     def term(self, at: At, gain: Any, shape: Any) -> Any:
         return -gain[0] * at.z[0]
+
+
+class SecondMass(AbstractTerm):
+    r"""A mass that is not measured, behind a spring with damping: r (ω² w + c (p - v)).
+
+    The load behind a flexible joint, the first mode of a beam. w is the stretch of the spring and p
+    the speed of the mass, dw/dt = p - v, dp/dt = -ω² w - c (p - v), and r its inertia over that of
+    the measured one. ω is its frequency where that is held; left free, both swing with ω √(1 + r).
+    At rest at the start of a record.
+    """
+
+    name = "second_mass"
+    sentence = "a second mass, not measured, that swings behind a spring"
+    rarity = 1.0  # three parameters fit much
+    gains = (Parameter("ratio", "1", lower=0.0),)
+    shapes = (Parameter("frequency", "rad/s", lower=0.0), Parameter("damping", "1/s", lower=0.0))
+    states = 2
+    depends_on = "y"
+    only_in_free_runs = True
+
+    def fits(self, plant: Plant, output: int) -> bool:
+        # In free motion its modes are fewer than its parameters and those of the plant.
+        return mechanical(plant, output) and bool(plant.inputs)
+
+    def grid(self, seen: Seen) -> Grid:
+        # A mode with little damping is only met near its frequency, where the residual has a peak.
+        slowest, fastest = 2.0 * np.pi / seen.duration, 0.3 * np.pi / seen.sample_period
+        peaks = seen.peaks[(seen.peaks > slowest) & (seen.peaks < fastest)]
+        frequencies = np.concatenate([np.geomspace(slowest, fastest, 8), peaks])
+        shares = np.array([0.1, 0.6])  # of the damping, over the frequency
+        pairs = np.meshgrid(frequencies, shares, indexing="ij")
+        return np.stack([pairs[0], pairs[0] * pairs[1]], axis=-1).reshape(-1, 2)
+
+    def rate(self, at: At, shape: Any) -> Any:
+        stretch, relative = at.z[0], at.z[1] - at.v
+        return jnp.stack([relative, -(shape[0] ** 2) * stretch - shape[1] * relative])
+
+    def term(self, at: At, gain: Any, shape: Any) -> Any:
+        return gain[0] * (shape[0] ** 2 * at.z[0] + shape[1] * (at.z[1] - at.v))
+
+    def states_along(
+        self, y: Float[np.ndarray, "runs S 3"], period: float, shape: np.ndarray
+    ) -> Float[np.ndarray, "2 runs S 3"]:
+        # Exact for y that is straight in each half sample: (w, p - v) decays freely in it. The mass
+        # moves with the measured one at first.
+        from scipy.linalg import expm  # only discovery needs it
+
+        nodes = np.concatenate([y[..., :2].reshape(len(y), -1), y[:, -1:, 2]], axis=1)
+        speeds = np.diff(nodes, axis=1).T / (0.5 * period)
+        decay = expm(0.5 * period * np.array([[0.0, 1.0], [-(shape[0] ** 2), -shape[1]]]))
+        start = np.stack([np.zeros(len(y)), speeds[0]])
+        along = states(decay, (np.eye(2) - decay)[:, 1], speeds, start)
+        along = np.concatenate([start[None], along])
+        return np.stack([along[:-2:2], along[1::2], along[2::2]]).transpose(2, 3, 1, 0)

@@ -1,0 +1,87 @@
+"""A mass that is not measured, behind a spring: a mode of the plant's own."""
+
+import numpy as np
+import pytest
+from scipy.linalg import expm
+
+import eoi_jax as eoi
+from eoi_jax import effects
+from eoi_jax.models.placements import placements
+from eoi_jax.refinement.refine import refine_once
+from eoi_jax.refinement.remaining import remaining
+
+PERIOD, COUNT = 0.01, 600
+GAIN, FRICTION, RATIO, FREQUENCY, DAMPING = 50.0, 4.0, 0.6, 20.0, 1.5
+JOINT = eoi.Plant(
+    lambda t, x, u, p: p.gain * u - p.friction * x.y[1], {"gain": 60.0, "friction": 6.0},
+    relative_degree=2, inputs=("torque",), outputs=("angle",),
+)  # fmt: skip
+
+
+def driven(seed: int) -> eoi.Record:
+    """A joint turns a load through a shaft that bends: exact steps of two masses."""
+    random = np.random.default_rng(seed)
+    torque = np.repeat(random.choice([-1.0, 1.0], COUNT // 10), 10)
+    spring, damper = FREQUENCY**2, DAMPING
+    rates = np.zeros((5, 5))  # angle, its speed, angle and speed of the load, torque
+    rates[0, 1] = rates[2, 3] = 1.0
+    rates[1] = [-RATIO * spring, -FRICTION - RATIO * damper, RATIO * spring, RATIO * damper, GAIN]
+    rates[3] = [spring, damper, -spring, -damper, 0.0]
+    step, state, angles = expm(PERIOD * rates), np.zeros(4), []
+    for drive in torque:
+        angles.append(state[0])
+        state = (step @ [*state, drive])[:4]
+    noise = 1e-3 * np.std(angles) * random.standard_normal(COUNT)
+    return eoi.Record.from_period(PERIOD, torque[:, None], (angles + noise)[:, None], hold="zero")
+
+
+def test_the_score_of_a_second_mass_is_high_at_the_peak_of_the_residual():
+    """Little damped, the mode is met only near its frequency: no coarse grid does."""
+    refined = refine_once(JOINT, (driven(1),), None)
+    tried = [effects.LinearStiffness(), effects.CoulombFriction(), effects.SecondMass()]
+    first = remaining(refined, tried).ranking[0]
+    assert first.names == ("second_mass",)
+    assert first.share > 0.9
+    # Small beside the measured one, it would swing with the frequency that both have.
+    both = FREQUENCY * np.sqrt(1.0 + RATIO)
+    assert first.values["second_mass_frequency"] == pytest.approx(both, rel=0.1)
+
+
+@pytest.mark.slow
+def test_a_load_behind_a_shaft_that_bends_is_found():
+    found = eoi.discover(JOINT, driven(1), validation=driven(2))
+    assert found.status.code == "complete"
+    assert [added.effect.name for added in found.added] == ["second_mass"]
+    values = found.plant.parameters
+    assert values["second_mass_ratio"] == pytest.approx(RATIO, rel=0.02)
+    assert values["second_mass_frequency"] == pytest.approx(FREQUENCY, rel=0.02)
+    assert values["second_mass_damping"] == pytest.approx(DAMPING, rel=0.1)
+    assert values["gain"] == pytest.approx(GAIN, rel=0.02)
+
+
+def test_the_states_along_a_run_are_those_of_the_mass():
+    """Beside many small steps, for an angle that is straight in each half sample."""
+    frequency, damping, steps = 15.0, 2.0, 400
+    angle = np.sin(7.0 * 0.5 * PERIOD * np.arange(201))
+    stages = np.stack([angle[:-2:2], angle[1::2], angle[2::2]], axis=-1)[None]
+    along = effects.SecondMass().states_along(stages, PERIOD, np.array([frequency, damping]))
+    assert along.shape == (2, 1, 100, 3)
+    speeds = np.diff(angle) / (0.5 * PERIOD)
+    stretch, speed, wanted = 0.0, speeds[0], []
+    for v in speeds:
+        for _ in range(steps):
+            small, push = 0.5 * PERIOD / steps, -(frequency**2) * stretch - damping * (speed - v)
+            stretch, speed = stretch + small * (speed - v), speed + small * push
+        wanted.append((stretch, speed))
+    middles, ends = np.array(wanted[::2]).T, np.array(wanted[1::2]).T
+    np.testing.assert_allclose(along[:, 0, :, 1], middles, atol=2e-3)
+    np.testing.assert_allclose(along[:, 0, :, 2], ends, atol=2e-3)
+    np.testing.assert_array_equal(along[:, 0, 1:, 0], along[:, 0, :-1, 2])
+
+
+def test_only_a_position_that_is_driven_has_a_second_mass():
+    free = eoi.Plant(lambda t, x, u, p: -p.k * x.y[0], {"k": 1.0}, 2, (), ("position",))
+    assert placements(free, [effects.SecondMass()]) == []
+    slow = eoi.Plant(lambda t, x, u, p: p.b * u - x.y[0], {"b": 1.0}, 1, ("u",), ("level",))
+    assert placements(slow, [effects.SecondMass()]) == []
+    assert len(placements(JOINT, [effects.SecondMass()])) == 1
