@@ -30,6 +30,8 @@ from eoi_jax.compiler import jax_setup
 from eoi_jax.data.holds import made_alike
 from eoi_jax.data.inspection import inspect as inspect_file
 from eoi_jax.data.readers.limits import MAX_GIGABYTES
+from eoi_jax.data.record import Record
+from eoi_jax.data.wrapped_outputs import wrapped_notes
 from eoi_jax.discovery.discover import discover as run_discovery
 from eoi_jax.discovery.result import Discovery
 from eoi_jax.estimation import sweep as sweeps
@@ -93,7 +95,8 @@ def identify(
         result = replace(result, status=Status("undetermined", _UNDETERMINED))
     summary = identification_summary(job, result, validation)
     if not result.status.ok:
-        return Outcome(summary, code=ExitCode.NO_ANSWER, complaint=f"no answer ({result.status})")
+        complaint = _unanswered(result.status, job.records)
+        return Outcome(summary, code=ExitCode.NO_ANSWER, complaint=complaint)
     folder = output / job.settings.name
     passes_option = "" if passes is None else f" --passes {passes}"
     passes_option += " --recursive" if recursive else ""
@@ -145,7 +148,8 @@ def discover(
         result = replace(result, notes=(*result.notes, *_example_notes(config)))
     summary = discovery_summary(job, result)
     if not (result.status.ok or result.status.code in _ANSWERS):
-        return Outcome(summary, code=ExitCode.NO_ANSWER, complaint=f"no answer ({result.status})")
+        complaint = _unanswered(result.status, job.records)
+        return Outcome(summary, code=ExitCode.NO_ANSWER, complaint=complaint)
     folder = output / job.settings.name
     config_text = _with_command(f"eoi discover{_config_argument(config)}", source)
     _write_run(
@@ -197,7 +201,8 @@ def refine(
         complaint += f"{result.status}. {_MORE_STARTS}"
         return Outcome(summary, code=ExitCode.NO_ANSWER, complaint=complaint)
     if not result.status.ok:
-        return Outcome(summary, code=ExitCode.NO_ANSWER, complaint=f"no answer ({result.status})")
+        complaint = _unanswered(result.status, job.records)
+        return Outcome(summary, code=ExitCode.NO_ANSWER, complaint=complaint)
     folder = output / job.settings.name
     text = refinement_text(result, start_run, refined_run)
     config_text = _with_command(f"eoi refine{_config_argument(config)}", source)
@@ -353,7 +358,7 @@ def init(
         for channel in inspection.channels
         if channel.role in ("time", "input", "output")
     )
-    notes = "\n".join(f"- {line}" for line in (*inspection.notes, *inspection.advice))
+    notes = "\n".join(f"- {line}" for line in cli.template.remarks(inspection))
     is_timed = inspection.clock.sample_period is not None
     step = "" if is_timed else "insert the sample_period [s], which the file does not tell, then "
     text = (
@@ -497,6 +502,11 @@ def _unused(settings: Config) -> list[str]:
         text = "passes and free runs of a discovery. Of an unstable plant only runs in windows say "
         notes.append(_NOT_IN_LOOP.format(f"{text}anything; `eoi refine` has it in the loop"))
     return notes
+
+
+def _unanswered(status: Status, records: Sequence[Record]) -> str:
+    """Why there is no answer, with what a user has to know of the records."""
+    return ". ".join([f"no answer ({status})", *wrapped_notes(records)])
 
 
 def _example_notes(config: Path | None) -> list[str]:

@@ -386,6 +386,7 @@ def _read_file(path: Path, table: DataTable, name: str, options: dict[str, Any])
             sample_period=table.sample_period,
             scale=dict(table.scale),
             units=dict(table.units),
+            unwrap=dict(table.unwrap),
             burn_in=table.burn_in,
             max_gigabytes=table.max_gigabytes,
             **options,

@@ -353,6 +353,8 @@ class DataTable(msgspec.Struct, frozen=True):
         time: column of time [s]; omitted with `sample_period` [s].
         scale: factor by column, to convert units.
         units: unit by column, after scaling.
+        unwrap: period by column, after scaling, of counters and angles that start again at the end
+            of their range: ``{ encoder = 4096 }``.
         slice: first and last (excluded) sample used.
         parts: ranges of samples by file, each a record of its own, in place of `slice`: where the
             logger was started again, as ``{ "run.csv" = [[0, 3017], [3017, 6024]] }``.
@@ -370,6 +372,7 @@ class DataTable(msgspec.Struct, frozen=True):
     sample_period: Positive | None = None
     scale: dict[str, float] = {}
     units: dict[str, str] = {}
+    unwrap: dict[str, Positive] = {}
     slice: tuple[int, int] | None = None
     parts: dict[str, tuple[tuple[int, int], ...]] = {}
     hold: HoldWord | dict[str, InputHold] = "auto"

@@ -19,6 +19,7 @@ from eoi_jax.data.column_names import stem
 from eoi_jax.data.inspection import Channel, Inspection, InspectionSettings
 from eoi_jax.data.record import Record
 from eoi_jax.data.resampling import low_pass
+from eoi_jax.data.wrapping import JUMPS, course
 from eoi_jax.models.export.names import TEXT_WORDS, identifier
 from eoi_jax.models.kinds import kind_of
 
@@ -45,7 +46,8 @@ def draft(inspections: Sequence[Inspection], target: Path) -> str:
     """A commented config for data files of the same columns.
 
     The model is linear, of first or second order, in one output; its nominal values are a rough
-    least-squares fit, from which the passes start. Of several files the last one is held out.
+    least-squares fit, from which the passes start. What turns round and round gets no spring. Of
+    several files the last one is held out.
 
     Args:
         inspections: of `inspect`; roles and first guesses are those of the first.
@@ -63,7 +65,8 @@ def draft(inspections: Sequence[Inspection], target: Path) -> str:
     inputs = inspection.inputs
     output = next(channel for channel in inspection.channels if channel.name == outputs[0])
     record = _record(inspection, inputs, output)
-    order, values = _rough_fit(record, output)
+    turns = output.wraps is not None and float(np.ptp(record.outputs)) > output.wraps.period
+    order, values = _rough_fit(record, output, turns)
     _check_columns(inspections, [*inputs, outputs[0]])
     name = _plain_name(inspection.path.name.split(".")[0]) or "run"
     symbols = _symbols(output.name, inputs)
@@ -75,6 +78,18 @@ def draft(inspections: Sequence[Inspection], target: Path) -> str:
         *(_controller_lines(reference, symbols) for reference in inspection.references[:1]),
     ]
     return "\n".join(blocks)
+
+
+def remarks(inspection: Inspection) -> list[str]:
+    """Notes and advice on the file, without what the draft has done.
+
+    Args:
+        inspection: of a file with an output.
+    """
+    first = next(channel for channel in inspection.channels if channel.role == "output")
+    done = first.wraps is not None and first.wraps.usual
+    lines = (*inspection.notes, *inspection.advice)
+    return [line for line in lines if not (done and JUMPS in line and f"`{first.name}`" in line)]
 
 
 def checked(text: str, target: Path) -> str:
@@ -132,16 +147,20 @@ def _record(inspection: Inspection, inputs: Sequence[str], output: Channel) -> R
     stamps = (
         clock.factor * signals[clock.column][part] if clock.column else period * np.arange(count)
     )
-    return Record(stamps, u, signals[output.name][part], inspection.path.name)
+    y = course(signals[output.name], output.wraps)[part]
+    return Record(stamps, u, y, inspection.path.name)
 
 
 # -- a first guess of the parameters ------------------------------------------------------
 
 
-def _rough_fit(record: Record, output: Channel) -> tuple[int, Float[np.ndarray, " terms"]]:
+def _rough_fit(
+    record: Record, output: Channel, turns: bool
+) -> tuple[int, Float[np.ndarray, " terms"]]:
     """Order and coefficients of y^(r) = -a_0 y - … + b u + c, by least squares on smooth signals.
 
     Derivatives are differences of the record after a zero-phase filter above the output's band.
+    Of what turns round and round a_0 = 0, and r = 2.
     """
     record, h = record.bridged, record.sample_period
     band = _SETTINGS.bandwidths * (output.band or 0.05 / h)
@@ -156,6 +175,8 @@ def _rough_fit(record: Record, output: Channel) -> tuple[int, Float[np.ndarray, 
         rates.append(rate[2:-2])
         accelerations.append(np.gradient(rate, h)[2:-2])
     table, rate, acceleration = (np.concatenate(parts) for parts in (rows, rates, accelerations))
+    if turns:
+        return 2, _least_squares(table[:, 1:], acceleration)[0]
     first_order, remainder = _least_squares(np.delete(table, 1, axis=1), rate)
     if kind_of(output.name, output.unit, 2) in _SETTINGS.first_order_kinds:
         return 1, first_order
@@ -192,7 +213,7 @@ def _head(inspection: Inspection, name: str, target: Path) -> str:
         f"#   eoi identify {_one_line(shell_word(target))}",
         "# Everything in it is a guess from the values and names of the columns:",
         *(f"#   {_one_line(line)}" for line in guesses),
-        *(f"# {_one_line(line)}" for line in (*inspection.notes, *inspection.advice)),
+        *(f"# {_one_line(line)}" for line in remarks(inspection)),
         f"name = {_text(name)}",
         "",
     ]
@@ -239,6 +260,8 @@ def _model_lines(
     if order == 1:
         names = [_symbol("decay", "decay", used)]
     states = [y] if order == 1 else [y, rate]
+    terms = len(values) - len(drive) - 1  # of what turns round and round only the damping
+    names, states = names[-terms:], states[-terms:]
     parts = [f"-{name}*{state}" for name, state in zip(names, states, strict=True)]
     equation = " ".join(
         [parts[0], *(f"- {part[1:]}" for part in parts[1:])]
@@ -291,6 +314,7 @@ def _data_lines(
         lines.append(f"# other columns: {names}")
     if units:
         lines.append(f"units = {_table(units)}")
+    lines += _unwrap_lines(output)
     fitted, held_out = _divided(files, [inspection.parts for inspection in inspections])
     lines += [fitted] if fitted else []
     lines += [
@@ -304,6 +328,15 @@ def _data_lines(
         "",
     ]
     return "\n".join(lines)
+
+
+def _unwrap_lines(output: Channel) -> list[str]:
+    """The period of an output that wraps; commented out where it may be something else."""
+    if output.wraps is None:
+        return []
+    number = output.wraps.period if output.wraps.usual else float(f"{output.wraps.period:.4g}")
+    mark = "" if output.wraps.usual else "# "
+    return [f"{mark}unwrap = {_table({output.name: number})}  # it {output.wraps.text}"]
 
 
 def _held_lines(inspection: Inspection, inputs: Sequence[str]) -> list[str]:

@@ -31,6 +31,7 @@ from eoi_jax.data.time_axis import (
     find_clock,
     parts_between_restarts,
 )
+from eoi_jax.data.wrapping import Wrapping, course, wrapping
 
 _PERIODS = frozenset(["ts", "dt", "sampletime", "sampleperiod", "samplingperiod", "samplingtime"])
 _RATES = frozenset(["fs", "samplerate", "samplingrate", "samplingfrequency"])
@@ -69,6 +70,8 @@ class Channel:
             for an input that is held.
         quantum: step of the values, if they are multiples of one step.
         saturated: level and share of samples of each end at which samples pile up.
+        wraps: how it wraps, as a counter or an angle does; None: it does not. Noise, quantum,
+            saturation and band are then those of the unwrapped values.
         band: frequency below which 99 % of the power lies [Hz]; None for a constant signal.
         notes: what a record of this column does about the time stamps.
     """
@@ -87,6 +90,7 @@ class Channel:
     saturated: tuple[tuple[float, float], ...] = ()
     band: float | None = None
     notes: tuple[str, ...] = ()
+    wraps: Wrapping | None = None
 
 
 @dataclass(frozen=True)
@@ -335,7 +339,9 @@ def _channel(
         return replace(channel, role="constant", why="it never changes")
     if key == clock.column or kind in ("dates", "times of day"):
         return channel
-    return _measured(channel, values, clock, numbers)
+    wraps = wrapping(values, finite) if kind != "truth values" else None
+    channel = replace(channel, wraps=wraps)
+    return _measured(channel, course(values, channel.wraps), clock, numbers)
 
 
 def _measured(
@@ -413,7 +419,9 @@ def _assign_roles(
         elif (
             channel.role == "other" and channel.name in numbers and channel.name not in clock.others
         ):
-            roles[channel.name] = _role(channel, numbers[channel.name])
+            role, why = _role(channel, course(numbers[channel.name], channel.wraps))
+            wraps = f"; it {channel.wraps.text}" if channel.wraps and role == "output" else ""
+            roles[channel.name] = role, why + wraps
     moving = [key for key, (role, _) in roles.items() if role != "other"]
     undecided = [key for key, (role, _) in roles.items() if role == "other"]
     if len(undecided) == 1 and moving and not any(roles[key][0] == "output" for key in moving):
@@ -458,7 +466,7 @@ def _separate_references(roles: dict[str, tuple[str, str]], held: set[str]) -> N
 def _role(channel: Channel, values: Float[np.ndarray, " time"]) -> tuple[str, str]:
     (measured,) = np.nonzero(np.isfinite(values))
     steps = np.abs(np.diff(values[measured])) / np.diff(measured)
-    value_range = float((channel.high or 0.0) - (channel.low or 0.0))
+    value_range = float(np.ptp(values[measured]))
     jump = float(steps.max()) / value_range if len(steps) and value_range > 0 else 0.0
     staircase = _is_held(channel)
     name_role = role_of_name(channel.name)
@@ -531,6 +539,8 @@ def _advice(channels: Sequence[Channel], clock: Clock, samples: int) -> list[str
             f"`{channel.name}` is saturated at {level:.6g}: {100 * share:.2g} % of the samples."
             for level, share in channel.saturated
         ]
+    wraps = [(channel.name, channel.wraps) for channel in by_role["output"] if channel.wraps]
+    advice += [f"`{name}` {wrap.text}: {wrap.advice(name)}." for name, wrap in wraps]
     for channel in by_role["output"]:
         if channel.quantum and channel.high is not None and channel.low is not None:
             levels = (channel.high - channel.low) / channel.quantum

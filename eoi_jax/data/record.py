@@ -65,6 +65,8 @@ from eoi_jax.data.resampling import (
     sub_stepped,
     uniform_grid,
 )
+from eoi_jax.data.unwrapping import checked_periods, unwrapped_channels
+from eoi_jax.data.wrapping import wrap_notes
 
 
 @dataclass(frozen=True, init=False, eq=False, repr=False)
@@ -183,6 +185,7 @@ class Record(Result):
             arrays = interpolate(grid, stamps, u, y, good, input_hold, notes, u_names)
             # Interpolation hides both the noise and the steps of the raw values.
             quantum = quanta(y, good[1])
+            notes += wrap_notes(y_names, y, good[1])  # of jumps that an interpolation divides
             noise = interpolated_noise(grid, stamps, y, arrays[1], good[1], arrays[3], quantum)
         else:
             arrays = place(grid, grid.index, u, y, good, notes)
@@ -248,13 +251,8 @@ class Record(Result):
         """
         advice = "Write record[1000:5000]."
         check(isinstance(index, slice), "record[…]", "must be sliced", repr(index), advice)
-        check(
-            index.step in (None, 1),
-            "record[…]",
-            "must be sliced without a step",
-            index.step,
-            "Filter with `smooth` before leaving samples out.",
-        )
+        rule, advice = "must be sliced without a step", "Filter with `smooth` before that."
+        check(index.step in (None, 1), "record[…]", rule, index.step, advice)
         start, stop, _ = index.indices(len(self))
         part = slice(start, stop)
         measured = self.output_valid[part]
@@ -339,12 +337,32 @@ class Record(Result):
         steps = np.asarray(delays, dtype=float) / self.sample_period
         rule = f"must hold a time for each of {counted(self.inputs.shape[1], 'input')}"
         check(steps.shape == (self.inputs.shape[1],), "delays", rule, f"shape {steps.shape}")
-        rule = "must hold finite times"
-        check(bool(np.all(np.isfinite(steps))), "delays", rule, delays)
+        check(bool(np.all(np.isfinite(steps))), "delays", "must hold finite times", delays)
         if not np.any(steps):
             return self
         new = self._changed(None)
         new._assign({"_skew": np.asarray(delays, dtype=float), "_middle": None})
+        return new
+
+    def unwrapped(self, periods: Mapping[str, Real]) -> "Record":
+        """The record with counters and angles that no longer start again at the end of their range.
+
+        Each sample is moved by whole periods to within half a period of the one before. A note says
+        so, and whether gaps are so long that the number of turns in them is not known.
+
+        Args:
+            periods: ``{channel: period}`` in the channel's unit: 4096 counts, 360 °, 2π rad.
+
+        Raises:
+            ValueError: an unknown channel, a period that is not positive or is smaller than the
+                channel's range, a record that was interpolated or smoothed.
+        """
+        read = checked_periods(periods, self.input_names + self.output_names, self._noise)
+        masks = self.valid, self.input_valid, self.output_valid
+        u, notes = unwrapped_channels(self.inputs, masks[1], self.input_names, read)
+        y, more = unwrapped_channels(self.outputs, masks[2], self.output_names, read)
+        new = self._changed(" ".join(notes + more))
+        new._set(u, y, masks, self.time, self.sample_period)
         return new
 
     def without_inputs(self, *names: str) -> "Record":
@@ -407,9 +425,7 @@ class Record(Result):
         `output_valid` is True there. Noise, quantum and `output_periods` are those of the samples.
         """
         gaps = (np.diff(np.flatnonzero(column)) for column in self.output_valid.T)
-        if all(not np.any(gap > 1) for gap in gaps):
-            return self
-        return self._bridged
+        return self._bridged if any(np.any(gap > 1) for gap in gaps) else self
 
     @cached_property
     def _bridged(self) -> "Record":
@@ -503,12 +519,8 @@ class Record(Result):
             ValueError: `cutoff` is not between 0 and the Nyquist frequency π / sample_period.
         """
         nyquist = np.pi / self.sample_period
-        check(
-            bool(0 < cutoff < nyquist),
-            "cutoff",
-            f"must lie in (0, {nyquist:g}) rad/s, below the Nyquist frequency",
-            cutoff,
-        )
+        rule = f"must lie in (0, {nyquist:g}) rad/s, below the Nyquist frequency"
+        check(bool(0 < cutoff < nyquist), "cutoff", rule, cutoff)
         if self._is_slow:
             return self.bridged.smooth(cutoff)
         inputs, outputs = np.array(self.inputs), np.array(self.outputs)

@@ -16,6 +16,7 @@ from eoi_jax.data.windows import (
     start_samples,
     window_length,
 )
+from eoi_jax.data.wrapped_outputs import wrapped_notes
 from eoi_jax.models.check_records import check_records
 from eoi_jax.models.plant import Plant
 
@@ -152,8 +153,8 @@ def check_runs(
         window: length of short runs [s]; None for the default.
 
     Returns:
-        A note for each scored record with runs that start late for lack of valid samples, or that
-        is not longer than `window`.
+        A note for each output of the fit that wraps, and for each scored record with runs that
+        start late for lack of valid samples, or that is not longer than `window`.
 
     Raises:
         ValueError: a record or a window that is too short.
@@ -168,7 +169,8 @@ def check_runs(
             rule += "start each free run"
             check(round(window / record.sample_period) > INITIAL, "window", rule, f"{window:g} s")
     scored = validation or records
-    notes = check_scored_records(plant, "validation" if validation else "records", scored)
+    notes = wrapped_notes(records)
+    notes += check_scored_records(plant, "validation" if validation else "records", scored)
     for name, group in (("records", records), ("validation", validation)):
         length = window
         if window is None and group:

@@ -21,6 +21,7 @@ from eoi_jax._status import NOT_RECORDED, EngineUsed, Status
 from eoi_jax.data.clipping import clipped_notes
 from eoi_jax.data.holds import SETTINGS as HOLD_SETTINGS
 from eoi_jax.data.record import Record
+from eoi_jax.data.wrapped_outputs import wrapped_notes
 from eoi_jax.estimation.common_factors import CommonFactor, common_factors
 from eoi_jax.estimation.covariance import Certainty, DeferredCertainty, computed
 from eoi_jax.estimation.defaults import (
@@ -224,7 +225,8 @@ def identify(
     explicit = observer is not None and observer.scheme == "explicit"
     checked, evidence = decided(plant, checked, declared_index, lowpass)
     prepared = prepare_records(plant, checked, lowpass, smoothing, substeps, explicit)
-    prepared = replace(prepared, reasons=(*evidence, *prepared.reasons, *clipped_notes(checked)))
+    measured = *clipped_notes(checked), *wrapped_notes(checked, repeated=False)
+    prepared = replace(prepared, reasons=(*evidence, *prepared.reasons, *measured))
     # The explicit form is the paper's method; in single precision second differences are rounding.
     plain_only = explicit or jnp.result_type(float) != jnp.float64
 

@@ -10,6 +10,7 @@ from eoi_jax._checks import counted
 from eoi_jax._status import Status
 from eoi_jax.data.record import Record
 from eoi_jax.data.windows import restart_notes
+from eoi_jax.data.wrapped_outputs import wrapped_notes
 from eoi_jax.estimation.common_factors import CommonFactor, common_factors
 from eoi_jax.estimation.regression.least_squares import least_squares, standard_errors, untraced
 from eoi_jax.estimation.regression.orthonormal import orthonormal
@@ -67,6 +68,7 @@ def refinement_of(
         (
             *(f"{name} ended on its bound, {plant.parameters[name]:g}" for name in bound),
             *_unsettled(fit),
+            *wrapped_notes(records),
             *_restarts(records, spans),
         ),
         certainty.information,

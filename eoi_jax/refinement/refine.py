@@ -401,7 +401,7 @@ def _start_kept(
                zip(nominal.outputs, before.rmse, after.rmse, strict=True)]  # fmt: skip
     runs = "free runs" if after.window is None else f"free runs in windows of {after.window:.3g} s"
     status = Status("start_kept", _WORSE.format(runs, ", ".join(changes)))
-    return replace(start, status=status, notes=(*start.notes, *result.notes))
+    return replace(start, status=status, notes=(*dict.fromkeys((*start.notes, *result.notes)),))
 
 
 def _refined(nominal: Plant, records: tuple[Record, ...], question: _Question) -> Refinement:

@@ -25,6 +25,7 @@ from eoi_jax.data.readers.table import Columns, Table, add_columns
 from eoi_jax.data.record import Record
 from eoi_jax.data.resampling import Real
 from eoi_jax.data.time_axis import declared_unit, epoch_unit
+from eoi_jax.data.unwrapping import checked_periods, unwrapped_channels
 
 
 def read_record(
@@ -41,6 +42,7 @@ def read_record(
     slice: tuple[int, int | None] | None = None,
     renames: Mapping[str, str] | Mapping[int, str] | None = None,
     max_gigabytes: Real = MAX_GIGABYTES,
+    unwrap: Mapping[str, Real] | Mapping[int, Real] | None = None,
 ) -> Record:
     """A record from named columns of a file.
 
@@ -70,6 +72,8 @@ def read_record(
         renames: ``{column: name in the record}``.
         max_gigabytes: largest unpacked size of a compressed file [1e9 bytes]; infinite for no
             limit.
+        unwrap: ``{column: period}`` of counters and angles that start again at the end of their
+            range, in the unit after `scale`: ``{"encoder": 4096}``. See `Record.unwrapped`.
 
     Returns:
         The record, with `notes` on the changes made to the data.
@@ -77,8 +81,9 @@ def read_record(
     Raises:
         ValueError: a file that is missing, of an unknown kind or of another kind than its name
             says; a column that is unknown, not numeric or of a different length; no stamps and no
-            sample period; a `scale`, `units` or `renames` for a column that is not read; a file
-            that unpacks to more than `max_gigabytes`; and the errors of `Record`.
+            sample period; a `scale`, `units`, `unwrap` or `renames` for a column that is not read;
+            a period that is not positive or is smaller than the range of its column; a file that
+            unpacks to more than `max_gigabytes`; and the errors of `Record`.
     """
     path = Path(path)
     table = read_table(path, max_gigabytes)
@@ -101,10 +106,8 @@ def read_record(
     selected |= {key: selected[key] * factor for key, factor in factors.items()}
     count = len(selected[y_columns[0]])
     rows = _rows(slice, count)
-    new_names, unit_names = (
-        _options_by_column("renames", renames, selected),
-        _options_by_column("units", units, selected),
-    )
+    new_names = _options_by_column("renames", renames, selected)
+    unit_names = _options_by_column("units", units, selected)
     labels = {key: new_names.get(key, key) for key in selected}
     if isinstance(hold, Mapping):
         words = _options_by_column("hold", hold, selected)
@@ -112,10 +115,11 @@ def read_record(
     if clock is not None and clock not in factors:
         _check_seconds(clock, table, selected[clock])
     stamps = float(sample_period or 0) * np.arange(count) if clock is None else selected[clock]
-    return Record(
+    signals, notes = _unwrapped(selected, unwrap, [*u_columns, *y_columns], stamps, rows)
+    record = Record(
         stamps[rows],
-        _matrix(selected, u_columns, count)[rows],
-        _matrix(selected, y_columns, count)[rows],
+        signals[:, : len(u_columns)],
+        signals[:, len(u_columns) :],
         _stem(path) if name is None else name,
         input_names=[labels[key] for key in u_columns],
         output_names=[labels[key] for key in y_columns],
@@ -123,6 +127,7 @@ def read_record(
         hold=hold,
         burn_in=burn_in,
     )
+    return record._changed(" ".join(notes))
 
 
 # -- choosing columns ---------------------------------------------------------------------
@@ -169,6 +174,22 @@ def _factors(scale: Mapping[Any, Any] | None, picked: Columns) -> dict[str, floa
     return {key: float(factor) for key, factor in factors.items()}
 
 
+def _unwrapped(
+    selected: Columns,
+    unwrap: Mapping[Any, Any] | None,
+    keys: Sequence[str],
+    stamps: np.ndarray,
+    rows: slice,
+) -> tuple[np.ndarray, list[str]]:
+    """Inputs and outputs, unwrapped before a uniform grid divides their jumps, and notes on it."""
+    periods = {_column_name("unwrap", key): period for key, period in (unwrap or {}).items()}
+    periods = checked_periods(periods, keys)
+    signals = np.stack([selected[key][rows] for key in keys], axis=1)
+    measured = np.isfinite(signals)
+    course, notes = unwrapped_channels(signals, measured, keys, periods, stamps[rows])
+    return np.where(measured, course, signals), notes
+
+
 def _pick(
     path: Path, table: Table, time: str | None, u_columns: list[str], y_columns: list[str]
 ) -> Columns:
@@ -184,10 +205,6 @@ def _pick(
         ", ".join(f"{key} {length}" for key, length in lengths.items()),
     )
     return picked
-
-
-def _matrix(picked: Columns, keys: list[str], count: int) -> np.ndarray:
-    return np.stack([picked[key] for key in keys], axis=1) if keys else np.zeros((count, 0))
 
 
 def _column(path: Path, table: Table, field: str, key: str) -> np.ndarray:
