@@ -65,7 +65,8 @@ def draft(inspections: Sequence[Inspection], target: Path) -> str:
     inputs = inspection.inputs
     output = next(channel for channel in inspection.channels if channel.name == outputs[0])
     record = _record(inspection, inputs, output)
-    turns = output.wraps is not None and float(np.ptp(record.outputs)) > output.wraps.period
+    wraps = output.wraps
+    turns = bool(wraps and wraps.usual and np.ptp(record.outputs) > wraps.period)
     order, values = _rough_fit(record, output, turns)
     _check_columns(inspections, [*inputs, outputs[0]])
     name = _plain_name(inspection.path.name.split(".")[0]) or "run"

@@ -1,6 +1,7 @@
 """Counters and angles that start again at the end of their range: found, and unwrapped."""
 
 import re
+from typing import Any
 
 import numpy as np
 import pytest
@@ -243,7 +244,7 @@ def jittered(path):
 @pytest.mark.filterwarnings("ignore::eoi_jax._checks.RecordWarning")
 def test_a_file_is_unwrapped_before_its_clock_is_made_even(tmp_path):
     angle = jittered(tmp_path / "run.csv")
-    read = {"time": "t", "inputs": "drive", "outputs": "heading"}
+    read: dict[str, Any] = {"time": "t", "inputs": "drive", "outputs": "heading"}
     whole = eoi.read_record(tmp_path / "run.csv", **read, unwrap={"heading": 360.0})
     truth = np.interp(whole.time, np.sort(TIME), ANGLE)
     turns = (np.degrees(truth) - whole.outputs[:, 0]) / 360
