@@ -498,14 +498,14 @@ def eliminated(seed, count=600, period=0.5):
     noisy = run + 5e-3 * np.std(run) * random.normal(size=count)
     return eoi.Record(
         period * np.arange(count), dose, noisy, f"run {seed}", hold="zero",
-        input_names="dose", output_names="level",
+        input_names="dose", output_names="drug",
     )  # fmt: skip
 
 
 @pytest.mark.slow
 def test_an_elimination_that_saturates_is_named_and_measured():
     plant = eoi.Plant(
-        lambda t, x, u, p: p.b * u - p.k * x.y[0], {"b": 0.9, "k": 0.4}, 1, ("dose",), ("level",)
+        lambda t, x, u, p: p.b * u - p.k * x.y[0], {"b": 0.9, "k": 0.4}, 1, ("dose",), ("drug",)
     )
     answer = eoi.discover(plant, eliminated(1), validation=eliminated(2))
     assert answer.effects == ("saturating_loss",)

@@ -106,7 +106,8 @@ class Radiation(AbstractTerm):
 class PowerLoss(AbstractTerm):
     """-k |y|^n sign(y): a loss that grows with a power of the output.
 
-    Convection of a hot body, recombination of charges, an outlet of a tank.
+    Convection of a hot body, recombination of charges, an outlet of a tank, drag of a wheel. No
+    current or force of a store that is charged by its input flows out so.
     """
 
     name = "power_loss"
@@ -117,7 +118,8 @@ class PowerLoss(AbstractTerm):
     only_in_free_runs = True
 
     def fits(self, plant: Plant, output: int) -> bool:
-        return plant.degrees[output] == 1
+        kind = plant.kinds[plant.outputs[output]]
+        return plant.degrees[output] == 1 and kind not in ("current", "force", "acceleration")
 
     def shows(self, seen: Seen) -> bool:
         return not turns(seen.y)
@@ -149,7 +151,9 @@ class SaturatingLoss(AbstractTerm):
     only_in_free_runs = True
 
     def fits(self, plant: Plant, output: int) -> bool:
-        return plant.degrees[output] == 1
+        """Of an amount of something: where the kind is known, a concentration or a flow."""
+        kind = plant.kinds[plant.outputs[output]]
+        return plant.degrees[output] == 1 and kind in ("", "concentration", "flow")
 
     def shows(self, seen: Seen) -> bool:
         return not turns(seen.y)  # of both signs it is friction
