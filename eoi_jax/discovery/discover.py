@@ -48,7 +48,11 @@ from eoi_jax.discovery.probability import Standing
 from eoi_jax.discovery.ranking import ranking
 from eoi_jax.discovery.refined import refined_answer
 from eoi_jax.discovery.refit import free_runs, not_simulated, on_bounds, refitted, runs_that_tell
-from eoi_jax.discovery.remainder import partial_where_more_is_left, with_differences
+from eoi_jax.discovery.remainder import (
+    partial_where_more_is_left,
+    with_differences,
+    with_doubts,
+)
 from eoi_jax.discovery.remarks import (
     FREE_RUN,
     NO_FREE_RUN,
@@ -282,7 +286,7 @@ class _Search:
             discovery = refined_answer(task, discovery, effects if self.named else None)
         if not resolved:
             discovery = _judged_by_free_runs(task, discovery)
-        discovery = _with_doubts(task, discovery, self.refine)
+        discovery = with_doubts(discovery, records, self.refine)
         discovery = replace(discovery, notes=(*short_notes, *discovery.notes))
         return replace(searched, discovery=discovery)
 
@@ -299,16 +303,6 @@ def _informative_records(
         records = tuple(record for record, short in pairs if not short)
         prepared = prepare_records(plant, records, lowpass)
     return prepared, records, notes
-
-
-def _with_doubts(task: Task, discovery: Discovery, refined: bool) -> Discovery:
-    """Add a note if nothing seems to be missing, but the free runs contradict."""
-    if discovery.status.code != "nothing_missing":
-        return discovery
-    doubts = beyond_noise(discovery.windows_after, task.held_out or task.records)
-    suggestion = "" if refined else _REFINE_HINT
-    notes = (FitNote(doubt + suggestion) for doubt in doubts)
-    return replace(discovery, notes=(*discovery.notes, *notes))
 
 
 def _no_progress(stage: str, done: int, stages: int) -> None:
@@ -331,7 +325,11 @@ def _run(task: Task, rare_effects: Sequence[AbstractEffect], progress: Progress)
             return Searched(_failed(no_data, task.held_out, task.records))
         progress("fitting again, free runs", 1 + _RULES.rounds, _STAGES)
         discovery = _answer(task, steps, rounds, runs_before())
-    if discovery.status.code != "unexplained":
+    # Of outputs that are functions of the states, free runs are not searched where they contradict.
+    runs, judging = discovery.windows_after, task.held_out or task.records
+    denied_by_runs = task.plant.has_algebraic and bool(beyond_noise(runs, judging))
+    quiet = discovery.status.code == "nothing_missing"
+    if discovery.status.code != "unexplained" and not (quiet and denied_by_runs):
         return Searched(discovery)
     if placements(task.plant, rare_effects):
         wider = replace(task, effects=(*task.effects, *rare_effects))
@@ -341,6 +339,8 @@ def _run(task: Task, rare_effects: Sequence[AbstractEffect], progress: Progress)
         few = len(effects) <= max(_RULES.rare_most, len(task.plant.outputs))
         if named and few and rare_discovery.explained >= _RULES.rare_share:
             return Searched(rare_discovery)
+    if quiet:
+        return Searched(discovery)
     partial = tuple(step[:2] for step in reversed(steps) if not not_simulated(step[0]))
     return Searched(discovery, partial, lambda: _lead(task, steps, rounds, runs_before()))
 
@@ -545,7 +545,6 @@ _UNRESOLVED = (
     "the plant has a mode faster than the sampling, of which the injection is no evidence; judged "
     "by free runs of the refined model"
 )
-_REFINE_HINT = ". `refine=True` looks for it in the free runs"
 _FREE_RUN_WORSE = "the effects that fit the records make the free run on other data worse"
 _REFIT_STATUS = "the refit of the augmented model ended as {}"
 _AT_GRID_END = "{} is at the end of what was searched, {:.4g}: {} ones may do as well or better"

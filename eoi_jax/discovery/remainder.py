@@ -27,6 +27,27 @@ from eoi_jax.refinement.result import Refinement
 _RULES = RULES.differences
 
 
+def with_doubts(discovery: Discovery, records: Sequence[Record], refined: bool) -> Discovery:
+    """An answer that nothing is missing, with what its free runs say against that.
+
+    Of outputs that are functions of the states no free runs are searched that could answer.
+
+    Args:
+        discovery: the answer of the injection.
+        records: of the fit.
+        refined: whether the answer was refined.
+    """
+    if discovery.status.code != "nothing_missing":
+        return discovery
+    judging = records if discovery.in_sample else discovery.held_out
+    doubts = beyond_noise(discovery.windows_after, judging)
+    if doubts and discovery.plant.has_algebraic:
+        return replace(discovery, status=Status("unexplained", doubts[0]))
+    suggestion = "" if refined else _REFINE_HINT
+    notes = (FitNote(doubt + suggestion) for doubt in doubts)
+    return replace(discovery, notes=(*discovery.notes, *notes))
+
+
 def partial_where_more_is_left(discovery: Discovery) -> Discovery:
     """An answer is partial where free runs miss by more, too: what it says is not what they lack.
 
@@ -112,6 +133,7 @@ def _differ(fits: Sequence[Refinement], placed: Placed) -> bool:
     return bool(np.sum(((values - mean) / errors) ** 2) > _RULES.deviations**2 * len(fits))
 
 
+_REFINE_HINT = ". `refine=True` looks for it in the free runs"
 _MORE_LEFT = "free runs on the held-out records miss by more than noise"
 _DIFFER = (
     "the records differ in a constant at {}: with an offset of its own in each, free runs have "
