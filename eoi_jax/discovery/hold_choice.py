@@ -166,11 +166,13 @@ def with_held_inputs(
         return discovery
     parts = (with_hold(part, shared(zeros)) for part in (records, held_out))
     rival = answered(*parts)
-    errors = [mean_error((answer.after, answer.windows_after)) for answer in (rival, discovery)]
-    if rival.status.code not in ("complete", "partial"):
+    runs, rival_runs = discovery.after, rival.after
+    if rival.status.code not in ("complete", "partial") or runs is None or rival_runs is None:
         return discovery
+    growth = mean_error((rival_runs, rival.windows_after))
+    growth -= mean_error((runs, discovery.windows_after))
     fewer = len(rival.added) < len(discovery.added)
-    if errors[0] > errors[1] + (RULES.judge.same_error if fewer else -RULES.judge.min_fall):
+    if growth > (RULES.judge.same_error if fewer else -RULES.judge.min_fall):
         return discovery
     text = HoldNote(_HELD.format(hold_text(shared(zeros), names), hold_text(shared(words), names)))
     return replace(rival, notes=(text, *rival.notes))

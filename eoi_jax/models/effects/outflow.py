@@ -106,8 +106,8 @@ class Radiation(AbstractTerm):
 class PowerLoss(AbstractTerm):
     """-k |y|^n sign(y): a loss that grows with a power of the output.
 
-    Convection of a hot body, recombination of charges, an outlet of a tank, drag of a wheel. No
-    current or force of a store that is charged by its input flows out so.
+    Convection of a hot body, recombination of charges, an outlet of a tank, creep of what is under
+    stress (Norton's law). A current is no store that empties so.
     """
 
     name = "power_loss"
@@ -119,7 +119,7 @@ class PowerLoss(AbstractTerm):
 
     def fits(self, plant: Plant, output: int) -> bool:
         kind = plant.kinds[plant.outputs[output]]
-        return plant.degrees[output] == 1 and kind not in ("current", "force", "acceleration")
+        return plant.degrees[output] == 1 and kind != "current"
 
     def shows(self, seen: Seen) -> bool:
         return not turns(seen.y)
