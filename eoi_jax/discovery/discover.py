@@ -39,6 +39,7 @@ from eoi_jax.discovery.hold_choice import Searched, with_best_hold, with_held_in
 from eoi_jax.discovery.in_free_runs import (
     leaves_more,
     leaves_open,
+    misses_widely,
     unless_refined_is_better,
     with_free_runs,
     with_further_effects,
@@ -226,7 +227,7 @@ class _Search:
         if leaves_more(discovery):
             discovery = unless_refined_is_better(discovery, records)
         is_open = leaves_open(discovery)
-        if is_open:
+        if is_open or misses_widely(discovery):
             self.progress("searching in free runs", 2 + _RULES.rounds, _STAGES)
             discovery = with_free_runs(
                 discovery, records, held_out, effects, searched.partial, self.lowpass, self.alpha

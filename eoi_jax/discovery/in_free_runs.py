@@ -151,6 +151,15 @@ def leaves_more(discovery: Discovery) -> bool:
     return bool(motion) or bool(beyond_noise(runs, discovery.held_out))
 
 
+def misses_widely(discovery: Discovery) -> bool:
+    """Whether an answer that explains the injection leaves much of held-out records.
+
+    Effects that explain the injection of a biased base may stand in for what free runs show.
+    """
+    runs = discovery.windows_after or discovery.after
+    return leaves_more(discovery) and runs is not None and bool(np.any(runs.nrmse > _RULES.wide))
+
+
 def unless_refined_is_better(discovery: Discovery, records: tuple[Record, ...]) -> Discovery:
     """The discovery without its effects, where the declared model predicts better when refined.
 

@@ -280,12 +280,15 @@ class QuestionRules:
     Attributes:
         motion: error over the noise that is read off a record, below which that is motion as well.
         small: error over the spread of the output that is not worth a search.
+        wide: the same of an answer of the injection from which on the search begins anew. Set with
+            the saturating uptake of `beyond_library` in view.
         useless: the same of a model that a constant is better than, whatever the noise. Set with
             indomethacin in view.
     """
 
     motion: float = 0.7
     small: float = 0.01
+    wide: float = 0.05
     useless: float = 1.25
 
 

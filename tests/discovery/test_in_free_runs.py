@@ -12,6 +12,7 @@ from eoi_jax.discovery.free_run_search import search_free_runs
 from eoi_jax.discovery.in_free_runs import (
     leaves_more,
     leaves_open,
+    misses_widely,
     unless_refined_is_better,
     with_further_effects,
 )
@@ -143,6 +144,11 @@ def test_an_answer_to_a_part_is_partial_where_free_runs_show_the_rest(found):
 def test_what_is_questioned(found):
     left = judged_on(found, record({}, 4))
     assert leaves_more(left)
+    runs = left.windows_after
+    for size, wide in ((0.04, False), (0.06, True)):
+        missed = replace(left, windows_after=replace(runs, nrmse=np.full(1, size)))
+        assert misses_widely(missed) == wide
+    assert not misses_widely(found)
     assert not leaves_more(found)
     assert not leaves_more(replace(left, in_sample=True))
     assert not leaves_more(replace(left, added=()))
