@@ -221,8 +221,8 @@ class _Search:
             held_out: that judge, as given.
         """
         discovery, start = searched.discovery, min(float(record.time[0]) for record in records)
-        named = input_products(self.plant) + couplings(self.plant)
-        further = () if self.named else (*wider(), *named)
+        of_plant = input_products(self.plant) + couplings(self.plant)
+        further = () if self.named else (*wider(), *of_plant)
         effects = [effect.since(start) for effect in (*self.effects, *further)]
         if leaves_more(discovery):
             discovery = unless_refined_is_better(discovery, records)

@@ -156,9 +156,9 @@ def with_held_inputs(
         records: to fit, as given.
         held_out: that judge, as given.
     """
-    names, period, hold = records[0].input_names, records[0].sample_period, undeclared_hold(records)
-    if hold is None or discovery.in_sample:
+    if undeclared_hold(records) is None or discovery.in_sample:
         return discovery
+    names, period = records[0].input_names, records[0].sample_period
     delays, words = _stand_ins(discovery), hold_of_each(discovery.held_out[0].hold, len(names))
     half_samples = [abs(delays.get(name, 0.0) / period - 0.5) < _RULES.half for name in names]
     zeros = ["zero" if late else word for late, word in zip(half_samples, words, strict=True)]
@@ -174,7 +174,9 @@ def with_held_inputs(
     fewer = len(rival.added) < len(discovery.added)
     if growth > (RULES.judge.same_error if fewer else -RULES.judge.min_fall):
         return discovery
-    text = HoldNote(_HELD.format(hold_text(shared(zeros), names), hold_text(shared(words), names)))
+    better = "no larger errors, with fewer effects," if fewer else "smaller errors"
+    holds = (hold_text(shared(part), names) for part in (zeros, words))
+    text = HoldNote(_HELD.format(better, *holds))
     return replace(rival, notes=(text, *rival.notes))
 
 
@@ -294,6 +296,5 @@ def _power(
 
 
 _HELD = (
-    "hold {}: free runs on the held-out records have no larger errors, with fewer effects, than "
-    "with {} and half a sample of delay"
+    "hold {1}: free runs on the held-out records have {0} than with {2} and half a sample of delay"
 )

@@ -129,6 +129,8 @@ def _differ(fits: Sequence[Refinement], placed: Placed) -> bool:
     """Whether the offsets of some fits differ by far more than their standard errors."""
     (name,) = placed.names
     values, errors = np.array([(fit.parameters[name], fit.standard_errors[name]) for fit in fits]).T
+    if not np.all(np.isfinite(errors) & (errors > 0.0)):  # a record does not tell its offset
+        return False
     mean = np.average(values, weights=errors**-2.0)
     return bool(np.sum(((values - mean) / errors) ** 2) > _RULES.deviations**2 * len(fits))
 

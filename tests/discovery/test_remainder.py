@@ -1,9 +1,15 @@
 """What an answer leaves: partial where free runs miss by more, and records that differ."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 import eoi_jax as eoi
+from eoi_jax.discovery.remainder import _differ
+from eoi_jax.models.augmented import augmented, place
+from eoi_jax.models.effects import ConstantOffset
+from eoi_jax.refinement.refine import refine_once
 
 GAIN, LOSS, H = 0.01, 0.005, 5.0
 PLANT = eoi.Plant(
@@ -59,3 +65,18 @@ def test_an_offset_that_all_records_have_is_complete_and_no_difference():
     found = eoi.discover(PLANT, days[0], validation=days[1])
     assert found.status.code == "complete"
     assert not differences(found)
+
+
+def test_offsets_that_no_record_tells_do_not_differ():
+    placed = place(PLANT, ConstantOffset(), 0)
+    (name,) = placed.names
+    true = PLANT.with_parameters({"b": GAIN, "k": LOSS})
+    model = augmented(true, (placed,), {name: 0.0}).declared_anew(fixed=PLANT.names)
+    fits = [
+        refine_once(model, (warmed(ambient, seed, samples=200),), None)
+        for seed, ambient in enumerate((18.0, 27.0))
+    ]
+    assert _differ(fits, placed)
+    for error in (np.inf, 0.0, np.nan):
+        open_fits = [replace(fit, standard_errors={name: error}) for fit in fits]
+        assert not _differ(open_fits, placed)
