@@ -29,6 +29,7 @@ CLASSES: Mapping[str, str] = {
     "Saturation": "data.clipping",
     "Inspection": "data.inspection",
     "Channel": "data.inspection",
+    "Wrapping": "data.wrapping",
     "Plant": "models.plant",
     "SampledStates": "models.sampled_states",
     "LinearChains": "models.linear_system:_Chains",

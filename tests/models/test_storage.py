@@ -289,6 +289,7 @@ LATER_FIELDS = {
     "test_after": None,
     "test_windows_before": None,
     "test_windows_after": None,
+    "wraps": None,
 }
 # Words that have changed since.
 LATER_WORDS = {("code", "explained"): "complete"}
