@@ -7,7 +7,8 @@ from jaxtyping import Float
 
 from eoi_jax._status import Status
 from eoi_jax.discovery.regression import Base, fitted, within_bounds
-from eoi_jax.discovery.round import Round
+from eoi_jax.discovery.round import RoundResult
+from eoi_jax.discovery.round_start import RoundStart
 from eoi_jax.discovery.rules import RULES
 from eoi_jax.models.augmented import Placed
 
@@ -34,7 +35,9 @@ _DENIED = (
 )
 
 
-def explained(rounds: Sequence[Round], plain: Round | None = None) -> tuple[float, float, bool]:
+def explained(
+    rounds: Sequence[RoundResult], plain: RoundStart | None = None
+) -> tuple[float, float, bool]:
     """How much of the residual is explained.
 
     Evaluated for the result of the rounds, or for a simpler `plain` model that replaces it and from
@@ -48,12 +51,12 @@ def explained(rounds: Sequence[Round], plain: Round | None = None) -> tuple[floa
     first, last = rounds[0], rounds[-1]
     residual_before, residual_after = first.declared.residual, _final_residual(last)
     if plain is not None:
-        power = last.candidate_search.power
+        power = last.ranked.scores.power
         residual_after = within_bounds(plain.base, fitted(plain.base, [], power), power).residual
     return _power_explained(first, last, residual_before, residual_after)
 
 
-def remaining_power(rounds: Sequence[Round], share: float, noise_like: bool) -> float:
+def remaining_power(rounds: Sequence[RoundResult], share: float, noise_like: bool) -> float:
     """Power of the residual that is left beyond the noise.
 
     Args:
@@ -67,13 +70,13 @@ def remaining_power(rounds: Sequence[Round], share: float, noise_like: bool) -> 
     return 0.0 if noise_like else max((1.0 - share) * excess, 0.0)
 
 
-def _final_residual(last: Round) -> Float[np.ndarray, " rows"]:
+def _final_residual(last: RoundResult) -> Float[np.ndarray, " rows"]:
     return last.declared.residual if not last.chosen.atoms else last.bounded_fit.residual
 
 
-def denied(first: Round) -> tuple[tuple[Placed, ...], Status] | None:
+def denied(first: RoundResult) -> tuple[tuple[Placed, ...], Status] | None:
     """The set that would be the answer, if only the held-out records refuse it; and that status."""
-    fit = first.denied
+    fit = first.decision.denied
     if fit is None or first.chosen.atoms:
         return None
     share, _, _ = _power_explained(first, first, first.declared.residual, fit.residual)
@@ -83,8 +86,8 @@ def denied(first: Round) -> tuple[tuple[Placed, ...], Status] | None:
 
 
 def _power_explained(
-    first: Round,
-    last: Round,
+    first: RoundResult,
+    last: RoundResult,
     residual_before: Float[np.ndarray, " rows"],
     residual_after: Float[np.ndarray, " rows"],
 ) -> tuple[float, float, bool]:

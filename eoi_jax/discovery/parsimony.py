@@ -18,8 +18,8 @@ import numpy as np
 from eoi_jax.discovery.confirm import as_good
 from eoi_jax.discovery.judge import odds
 from eoi_jax.discovery.refit import free_runs, window_of
-from eoi_jax.discovery.round import Task
 from eoi_jax.discovery.rules import RULES
+from eoi_jax.discovery.task import Task
 from eoi_jax.estimation.identify import Identification, estimate
 from eoi_jax.models.augmented import Placed, augmented, place
 from eoi_jax.models.effects import ConstantOffset, CoulombFriction

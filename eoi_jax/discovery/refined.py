@@ -29,8 +29,8 @@ from eoi_jax.discovery.probability import Standing
 from eoi_jax.discovery.refit import on_bounds, window_of
 from eoi_jax.discovery.remarks import is_on_fit
 from eoi_jax.discovery.result import Discovery
-from eoi_jax.discovery.round import Task
 from eoi_jax.discovery.rules import RULES
+from eoi_jax.discovery.task import Task
 from eoi_jax.models.augmented import Placed, augmented
 from eoi_jax.models.effects.effect import AbstractEffect
 from eoi_jax.models.plant import Plant

@@ -8,9 +8,9 @@ import numpy as np
 from eoi_jax.data.record import Record
 from eoi_jax.data.windows import window_length
 from eoi_jax.discovery.remarks import FitNote
-from eoi_jax.discovery.round import Task
 from eoi_jax.discovery.rules import RULES
 from eoi_jax.discovery.side_by_side import concurrently
+from eoi_jax.discovery.task import Task
 from eoi_jax.estimation.holdout import longest_start
 from eoi_jax.estimation.identify import Identification, bound_notes, estimate
 from eoi_jax.models.plant import Plant
@@ -26,7 +26,7 @@ _ON_BOUND = ": what it would take beyond stays unexplained"
 _SEARCHED = FitNote("parameters are those of the search: in free runs better than the refit's")
 
 
-def refitted(task: Task, model: Plant, notes: list[str]) -> Identification:
+def refitted(task: Task, model: Plant) -> tuple[Identification, tuple[str, ...]]:
     """Fit all parameters again with the estimator, starting from the result of the search.
 
     The estimator's passes average over a step what the modes treat to fourth order, and smooth the
@@ -36,13 +36,15 @@ def refitted(task: Task, model: Plant, notes: list[str]) -> Identification:
     Args:
         task: the constants of the discovery.
         model: the augmented plant, with the parameters of the search.
-        notes: gets a sentence if the parameters of the search are kept; the fit is then one pass
-            that evaluates them.
+
+    Returns:
+        The fit, and a note where the parameters of the search are better: the fit is then one pass
+        that evaluates them.
     """
     window = window_of(task, task.records)
     bounded = bool(np.all((model.lower <= model.theta) & (model.theta <= model.upper)))
     if window is None or not bounded:
-        return estimate(model, task.prepared)
+        return estimate(model, task.prepared), ()
 
     def error(plant: Plant) -> float:
         return float(np.sum(np.log(judged_runs(plant, task.records, window=window).rmse + 1e-300)))
@@ -51,9 +53,9 @@ def refitted(task: Task, model: Plant, notes: list[str]) -> Identification:
         refit = estimate(model, task.prepared)
         search_error, refit_error = searched_error(), error(refit.plant)
     if not search_error < refit_error:
-        return refit
-    notes.append(_SEARCHED)
-    return replace(estimate(model, task.prepared, passes=1), status=refit.status)
+        return refit, ()
+    searched = estimate(model, task.prepared, passes=1)
+    return replace(searched, status=refit.status), (_SEARCHED,)
 
 
 def on_bounds(declared: Plant, plant: Plant) -> list[str]:

@@ -100,6 +100,14 @@ class Fit:
         """Gains of each effect."""
         return _gains(self.atoms, self.theta)
 
+    @property
+    def values(self) -> dict[Placed, tuple[float, ...]]:
+        """Parameters of each effect, gains first."""
+        return {
+            atom.placed: (*(float(gain) for gain in gains), *atom.shape)
+            for atom, gains in zip(self.atoms, self.gains, strict=True)
+        }
+
 
 def fitted(base: Base, atoms: Sequence[CandidateColumns], power: Rows) -> Fit:
     """Weighted least squares of the declared parameters and the gains.

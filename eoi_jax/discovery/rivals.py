@@ -4,9 +4,11 @@ from collections.abc import Iterable, Mapping, Sequence
 
 from eoi_jax.discovery.candidates import CandidateColumns
 from eoi_jax.discovery.probability import Standing, from_sets, reads_as
+from eoi_jax.discovery.regression import Fit
 from eoi_jax.discovery.result import Added
-from eoi_jax.discovery.round import Round
+from eoi_jax.discovery.round import RoundResult
 from eoi_jax.discovery.rules import RULES
+from eoi_jax.discovery.search import RankedSets
 from eoi_jax.models.augmented import Placed
 from eoi_jax.models.effects import standard, wider
 from eoi_jax.models.effects.effect import AbstractEffect
@@ -14,21 +16,21 @@ from eoi_jax.models.effects.effect import AbstractEffect
 _RULES = RULES.answer
 
 
-def unrivalled(first: Round) -> bool:
+def unrivalled(first: RoundResult) -> bool:
     """Whether the main effect explains, on its own, far more power than any unrelated effect."""
-    search, chosen = first.candidate_search, first.chosen
+    scores, chosen = first.ranked.scores, first.chosen
     if not chosen.atoms:
         return False
 
     def value_without(atom: CandidateColumns) -> float:
-        return search.value(
-            search.fit([neighbor for neighbor in chosen.atoms if neighbor is not atom])
+        return scores.value(
+            scores.fit([neighbor for neighbor in chosen.atoms if neighbor is not atom])
         )
 
     main = max(chosen.atoms, key=value_without).placed.effect
-    empty, power = search.fit([]), search.base.signal_power
+    empty, power = scores.fit([]), scores.base.signal_power
     best_power: dict[bool, float] = {True: 0.0, False: 0.0}  # by whether it is the main effect
-    for fit in [*search.extended(empty), *first.sets]:
+    for fit in [*scores.extended(empty), *first.ranked.sets]:
         if len(fit.atoms) == 1 and fit.physical:
             is_main = akin(fit.atoms[0].placed.effect, main)
             explained = power(empty.residual) - power(fit.residual)
@@ -41,15 +43,15 @@ def akin(first: AbstractEffect, second: AbstractEffect) -> bool:
     return bool({first.name, *first.contains} & {second.name, *second.contains})
 
 
-def ambiguous(first: Round, added: Sequence[str]) -> tuple[str, ...]:
+def ambiguous(ranked: RankedSets, chosen: Fit, added: Sequence[str]) -> tuple[str, ...]:
     """Names in sets no larger than the chosen one that the records support nearly as well.
 
     Also the name of an effect that contains a chosen one if its additional term may be large: its
     penalty exceeded its gain because the records hardly excite that term.
     """
-    search, chosen, chosen_names = first.candidate_search, first.chosen, set(added)
+    scores, chosen_names = ranked.scores, set(added)
     names: list[str] = []
-    for fit in first.sets:
+    for fit in ranked.sets:
         fit_names = {atom.placed.effect.name for atom in fit.atoms}
         contained = {name for atom in fit.atoms for name in atom.placed.effect.contains}
         if not fit.physical or chosen_names <= fit_names or len(fit.atoms) > len(chosen.atoms):
@@ -58,7 +60,7 @@ def ambiguous(first: Round, added: Sequence[str]) -> tuple[str, ...]:
             pairs = zip(fit.atoms, fit.gains, strict=True)
             close = any(atom.placed.effect.beyond(gains) > _RULES.extra for atom, gains in pairs)
         else:
-            close = search.value(fit) - search.value(chosen) < RULES.round.told_apart
+            close = scores.value(fit) - scores.value(chosen) < RULES.round.told_apart
         if close:
             names += [name for name in sorted(fit_names - chosen_names) if name not in names]
     level_and_offset = ["coulomb_friction", "constant_offset"]
@@ -70,7 +72,7 @@ def ambiguous(first: Round, added: Sequence[str]) -> tuple[str, ...]:
 
 
 def standings(
-    rounds: Sequence[Round],
+    rounds: Sequence[RoundResult],
     effects: Sequence[Placed],
     wider: Mapping[Placed, Mapping[Placed, float]],
     remainder: float,
@@ -78,12 +80,12 @@ def standings(
     """The standings of effects that the injection justifies, each from the round that added it.
 
     Args:
-        rounds: of the search.
+        rounds: of the scores.
         effects: of the answer.
         wider: laws that gave way to simpler ones in free runs, with their odds against these.
         remainder: power of the residual that is left beyond the noise.
     """
-    plant, found = rounds[0].task.plant, dict.fromkeys(effects)
+    plant, found = rounds[0].start.task.plant, dict.fromkeys(effects)
     for placed in effects:
         for step in rounds:
             chosen = [atom.placed for atom in step.chosen.atoms]
@@ -96,11 +98,13 @@ def standings(
     return found
 
 
-def advice(first: Round, rival_names: Sequence[str]) -> str:
+def advice(first: RoundResult, rival_names: Sequence[str]) -> str:
     """The experiment that distinguishes the candidates, by the signals that they depend on."""
     if not rival_names:
         return ""
-    library = {atom.placed.effect.name: atom.placed.effect for atom in first.candidate_search.grid}
+    library = {
+        atom.placed.effect.name: atom.placed.effect for atom in first.ranked.scores.problem.grid
+    }
     kinds = {atom.placed.effect.depends_on for atom in first.chosen.atoms}
     kinds |= {library[name].depends_on for name in rival_names if name in library}
     return _experiments(kinds)

@@ -19,7 +19,7 @@ gain more than its penalty beside all others.
 
 import itertools
 from collections import Counter
-from collections.abc import Iterable, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 
@@ -30,22 +30,23 @@ from eoi_jax.discovery.candidates import CandidateColumns
 from eoi_jax.discovery.noise_spectrum import fitted_power
 from eoi_jax.discovery.regression import Base, Fit, Make, Span, Spans, fitted, refined, system
 from eoi_jax.discovery.rules import RULES
-from eoi_jax.discovery.screening import Projection, Terms, changes
+from eoi_jax.discovery.screening import Changes, Projection, Terms, changes
 from eoi_jax.models.augmented import Placed
 
 _RULES = RULES.search
 
 Rows = Float[np.ndarray, " rows"]
+Atoms = tuple[CandidateColumns, ...]
+Effects = frozenset[Placed]
 
 
-@dataclass
-class Search:
-    """The search.
+@dataclass(frozen=True)
+class SearchProblem:
+    """What is searched.
 
     Attributes:
         base: the declared model.
         grid: all atoms of the shape grids.
-        make: makes the atoms of an effect at shapes (grid, shapes), for local refinement.
         alpha: level of false alarms.
         max_effects: largest number of effects in a set.
         names: number of candidates, for the Bonferroni correction.
@@ -53,53 +54,76 @@ class Search:
     """
 
     base: Base
-    grid: list[CandidateColumns]
-    make: Make
+    grid: Atoms
     alpha: float
     max_effects: int
     names: int
     lacking: float
-    power: Rows = field(init=False)
-    _columns: Terms = field(init=False)
-    _declared_projection: Projection = field(init=False)
-    _refined: dict[frozenset, tuple[CandidateColumns, ...]] = field(
-        init=False, default_factory=dict
-    )
-    spans: Spans = field(init=False, default_factory=dict)
-    # Of sets under the current power, with the atoms whose identities are the keys.
+
+    @cached_property
+    def terms(self) -> list[CandidateColumns]:
+        """Atoms that add columns to the model."""
+        return [atom for atom in self.grid if atom.target is None]
+
+    @cached_property
+    def spans(self) -> Spans:
+        """Spacings and ends of each effect's grid."""
+        shapes: dict[Placed, list[tuple[float, ...]]] = {}
+        for atom in self.grid:
+            shapes.setdefault(atom.placed, []).append(atom.shape)
+        return {placed: _span(placed, np.asarray(values)) for placed, values in shapes.items()}
+
+    @cached_property
+    def level(self) -> float:
+        """q of the score."""
+        from scipy.special import chdtri  # only discovery needs it
+
+        return float(chdtri(1.0, self.alpha / self.names))
+
+    def scores(self, residual: Rows) -> "Scores":
+        """The scores of sets under the power of a residual."""
+        base = self.base
+        return Scores(self, fitted_power(residual, base.noise, base.local, base.output))
+
+
+@dataclass(frozen=True)
+class Scores:
+    """Fits and scores of sets of effects under one power of the residual.
+
+    Attributes:
+        problem: what is searched.
+        power: S of each mode.
+    """
+
+    problem: SearchProblem
+    power: Rows
+    # Of sets, with the atoms whose identities are the keys.
     _signal_powers: dict[frozenset[int], tuple[Sequence[CandidateColumns], float]] = field(
-        init=False, default_factory=dict
+        init=False, repr=False, default_factory=dict
     )
 
-    def run(self) -> list[Fit]:
-        """The best set of each evaluated combination of effects, best first."""
-        self.spans = _spacings(self.grid)
-        self._terms = [atom for atom in self.grid if atom.target is None]
-        self._changing = [atom for atom in self.grid if atom.target is not None]
-        self.power = np.ones_like(self.base.target)
-        self._weigh(fitted(self.base, [], self.power).residual)
-        chosen, fits = self.fit([]), []
-        for _ in range(_RULES.rounds):
-            fits = self._search_once(chosen)
-            best = next(fit for fit in fits if self.material(fit))
-            unchanged = best.keys == chosen.keys
-            self._weigh(best.residual)
-            chosen = self.fit(best.atoms)  # its cost under the new power
-            if unchanged:
-                break
-        sets = sorted((self.fit(fit.atoms) for fit in fits), key=self.value)
-        leading = [
-            fit
-            for fit in sets[: _RULES.last]
-            if self.value(fit) < self.value(sets[0]) + _RULES.last_margin
-        ]
-        sets[: len(leading)] = [self._refine(fit) for fit in leading]
-        return sorted(sets, key=lambda fit: (not self.material(fit), self.value(fit)))
+    @property
+    def base(self) -> Base:
+        """The declared model."""
+        return self.problem.base
+
+    @cached_property
+    def _columns(self) -> Terms:
+        return Terms(self.problem.terms, self.power)
+
+    @cached_property
+    def _declared_projection(self) -> Projection:
+        return self._columns.project(self.base.columns, self.base.target)
+
+    @cached_property
+    def _changes(self) -> list[Changes]:
+        changing = [atom for atom in self.problem.grid if atom.target is not None]
+        return changes(changing, self.base, self.power)
 
     # -- evaluation of a set ------------------------------------------------------------------
 
     def fit(self, atoms: Sequence[CandidateColumns]) -> Fit:
-        """The fit of a set under the current power."""
+        """The fit of a set."""
         return fitted(self.base, atoms, self.power)
 
     def penalty(self, atoms: Sequence[CandidateColumns]) -> float:
@@ -107,14 +131,7 @@ class Search:
         size = sum(len(atom.placed.effect.parameters) for atom in atoms)
         prior = sum(atom.placed.effect.rarity for atom in atoms)
         extra = (size - len(atoms)) * np.log(len(self.base.target))
-        return float(extra + len(atoms) * self._level + prior)
-
-    @cached_property
-    def _level(self) -> float:
-        """q of the score."""
-        from scipy.special import chdtri  # only discovery needs it
-
-        return float(chdtri(1.0, self.alpha / self.names))
+        return float(extra + len(atoms) * self.problem.level + prior)
 
     def value(self, fit: Fit) -> float:
         """Penalised cost, to be minimised; infinite if a gain is not physical."""
@@ -134,14 +151,14 @@ class Search:
             share_of_remainder = max(
                 _RULES.remainder * (power_without - base.noise_power), _RULES.half * power_without
             )
-            threshold = min(_RULES.material * self.lacking, share_of_remainder)
+            threshold = min(_RULES.material * self.problem.lacking, share_of_remainder)
             if power_without - set_power < max(threshold, _RULES.trace * base.output_power):
                 return False
             present = {neighbor.placed.effect.name for neighbor in remaining}
             for simple in self._contained(atom):
                 if simple.placed.effect.name not in present:
                     simple_power = self._signal_power([*remaining, simple])
-                    if simple_power - set_power < _RULES.nested * self.lacking:
+                    if simple_power - set_power < _RULES.nested * self.problem.lacking:
                         return False
         return True
 
@@ -158,59 +175,17 @@ class Search:
         names, site = wide.placed.effect.contains, wide.placed.site[1:]
         return [
             term
-            for term in self._terms
+            for term in self.problem.terms
             if term.placed.effect.name in names and term.placed.site[1:] == site
         ]
 
     def known(self, placed: Placed) -> bool:
         """Whether an effect is already in the span of the declared model."""
-        indices = [i for i, term in enumerate(self._terms) if term.placed == placed]
+        indices = [i for i, term in enumerate(self.problem.terms) if term.placed == placed]
         independent = self._declared_projection.independent
         return bool(indices) and not any(independent[self._columns.part(i)].any() for i in indices)
 
-    def _weigh(self, residual: Rows) -> None:
-        base = self.base
-        self.power = fitted_power(residual, base.noise, base.local, base.output)
-        self._signal_powers.clear()
-        self._columns = Terms(self._terms, self.power)
-        self._declared_projection = self._columns.project(base.columns, base.target)
-        self._changes = changes(self._changing, base, self.power)
-
     # -- generation of sets ---------------------------------------------------------------------
-
-    def _search_once(self, chosen: Fit) -> list[Fit]:
-        visited: dict[frozenset, Fit] = {frozenset(): self.fit([])}
-
-        def visit(fit: Fit) -> None:
-            if fit.keys not in visited and np.isfinite(fit.cost):
-                visited[fit.keys] = self._refined_if_promising(fit, visited.values())
-
-        for fit in [chosen, *self.extended(visited[frozenset()])[: _RULES.beam], *self._pairs()]:
-            visit(fit)
-        for size in range(1, self.max_effects):
-            front = [fit for fit in visited.values() if len(fit.atoms) == size and fit.physical]
-            for fit in sorted(front, key=self.value)[:2]:
-                for new in self.extended(fit)[:3]:
-                    visit(new)
-        for fit in list(visited.values()):
-            for count in range(1, len(fit.atoms)):
-                for part in itertools.combinations(fit.atoms, count):
-                    visit(self.fit(part))
-        return sorted(visited.values(), key=self.value)
-
-    def _refined_if_promising(self, fit: Fit, visited: Iterable[Fit]) -> Fit:
-        """The set with refined shapes if it was not refined before or is among the best."""
-        known_atoms = self._refined.get(fit.keys)
-        if known_atoms is not None:
-            fit = min(fit, self.fit(known_atoms), key=self.value)
-        better = sum(self.value(known_fit) < self.value(fit) for known_fit in visited)
-        if better < (_RULES.beam if known_atoms is None else 2):
-            fit = self._refine(fit)
-            self._refined[fit.keys] = fit.atoms
-        return fit
-
-    def _refine(self, fit: Fit) -> Fit:
-        return refined(self.base, fit, self.power, self.spans, self.make)
 
     def extended(self, fit: Fit) -> list[Fit]:
         """The set with each further effect, at the best point of its grid; best first."""
@@ -220,7 +195,7 @@ class Search:
         by_atom = self._columns.by_atom(projection)
         best: dict[Placed, CandidateColumns] = {}
         for i in np.argsort(by_atom)[::-1]:
-            atom = self._terms[i]
+            atom = self.problem.terms[i]
             if atom.key not in keys and by_atom[i] > 0:
                 best.setdefault(atom.placed, atom)
         extensions = list(best.values())[: _RULES.exact if keys else None]
@@ -231,9 +206,9 @@ class Search:
                     extensions.append(change.atoms[int(np.argmin(change.costs(added)))])
         return sorted((self.fit([*fit.atoms, atom]) for atom in extensions), key=self.value)
 
-    def _pairs(self) -> list[Fit]:
+    def pairs(self) -> list[Fit]:
         """The sets of two with the largest gain, from an exhaustive search on the grid."""
-        terms, owner = self._terms, self._columns.owner
+        terms, owner = self.problem.terms, self._columns.owner
         ranked = [
             (gain, (terms[owner[i]], terms[owner[k]]))
             for gain, i, k in self._columns.pairs(self._declared_projection, _RULES.pairs)
@@ -262,12 +237,90 @@ class Search:
         return sorted(fits.values(), key=self.value)
 
 
-def _spacings(grid: Sequence[CandidateColumns]) -> Spans:
-    """Spacings and ends of each effect's grid."""
-    shapes: dict[Placed, list[tuple[float, ...]]] = {}
-    for atom in grid:
-        shapes.setdefault(atom.placed, []).append(atom.shape)
-    return {placed: _span(placed, np.asarray(values)) for placed, values in shapes.items()}
+@dataclass(frozen=True)
+class RankedSets:
+    """What a search came to.
+
+    Attributes:
+        scores: under the power that the best set leaves.
+        sets: the best one of each evaluated combination of effects, best first.
+    """
+
+    scores: Scores
+    sets: tuple[Fit, ...]
+
+
+def search_sets(problem: SearchProblem, make: Make) -> RankedSets:
+    """Search until the power S and the best set agree.
+
+    Args:
+        problem: what is searched.
+        make: makes the atoms of an effect at shapes (grid, shapes), for local refinement.
+    """
+    scores = problem.scores(fitted(problem.base, [], np.ones_like(problem.base.target)).residual)
+    chosen, fits, shaped = scores.fit([]), [], {}
+    for _ in range(_RULES.rounds):
+        fits, shaped = _evaluated(scores, chosen, shaped, make)
+        best = next(fit for fit in fits if scores.material(fit))
+        unchanged = best.keys == chosen.keys
+        scores = problem.scores(best.residual)
+        chosen = scores.fit(best.atoms)  # its cost under the new power
+        if unchanged:
+            break
+    sets = sorted((scores.fit(fit.atoms) for fit in fits), key=scores.value)
+    leading = [
+        fit
+        for fit in sets[: _RULES.last]
+        if scores.value(fit) < scores.value(sets[0]) + _RULES.last_margin
+    ]
+    sets[: len(leading)] = [_refined(scores, fit, make) for fit in leading]
+    ordered = sorted(sets, key=lambda fit: (not scores.material(fit), scores.value(fit)))
+    return RankedSets(scores, tuple(ordered))
+
+
+def _evaluated(
+    scores: Scores, chosen: Fit, shaped: Mapping[Effects, Atoms], make: Make
+) -> tuple[list[Fit], dict[Effects, Atoms]]:
+    """Sets of up to the largest size, best first; of promising ones the atoms at refined shapes.
+
+    Args:
+        scores: under the power that the chosen set leaves.
+        chosen: the best set so far.
+        shaped: atoms of sets whose shapes were refined before.
+        make: makes the atoms of an effect at shapes.
+    """
+    visited: dict[Effects, Fit] = {frozenset(): scores.fit([])}
+    atoms = dict(shaped)
+
+    def visit(fit: Fit) -> None:
+        if fit.keys in visited or not np.isfinite(fit.cost):
+            return
+        refined_atoms = atoms.get(fit.keys)
+        if refined_atoms is not None:
+            fit = min(fit, scores.fit(refined_atoms), key=scores.value)
+        better = sum(scores.value(rival) < scores.value(fit) for rival in visited.values())
+        if better < (_RULES.beam if refined_atoms is None else 2):
+            fit = _refined(scores, fit, make)
+            atoms[fit.keys] = fit.atoms
+        visited[fit.keys] = fit
+
+    empty = visited[frozenset()]
+    for fit in [chosen, *scores.extended(empty)[: _RULES.beam], *scores.pairs()]:
+        visit(fit)
+    for size in range(1, scores.problem.max_effects):
+        front = [fit for fit in visited.values() if len(fit.atoms) == size and fit.physical]
+        for fit in sorted(front, key=scores.value)[:2]:
+            for new in scores.extended(fit)[:3]:
+                visit(new)
+    for fit in list(visited.values()):
+        for count in range(1, len(fit.atoms)):
+            for part in itertools.combinations(fit.atoms, count):
+                visit(scores.fit(part))
+    return sorted(visited.values(), key=scores.value), atoms
+
+
+def _refined(scores: Scores, fit: Fit, make: Make) -> Fit:
+    return refined(scores.base, fit, scores.power, scores.problem.spans, make)
 
 
 def _span(placed: Placed, table: Float[np.ndarray, "grid shapes"]) -> Span:

@@ -14,8 +14,7 @@ from eoi_jax.discovery.candidates import CandidateColumns
 from eoi_jax.discovery.regression import Base, Fit
 from eoi_jax.discovery.result import Added
 from eoi_jax.discovery.rivals import akin, ambiguous
-from eoi_jax.discovery.round import Round
-from eoi_jax.discovery.search import Search
+from eoi_jax.discovery.search import RankedSets, SearchProblem
 from eoi_jax.models.augmented import augmented, place
 from eoi_jax.models.effects.effect import AbstractTerm, Parameter
 
@@ -720,10 +719,8 @@ def undecided(rise: float) -> tuple[str, ...]:
             place(MASS, effect, 0), (0.1,) * len(effect.shapes), np.ones((rows, len(gains))), None
         )
         fits.append(Fit((atom,), np.asarray(gains), np.ones(rows), cost, True))
-    first = object.__new__(Round)
-    first.candidate_search = Search(base, [], lambda placed, shapes: [], 0.01, 3, 20, 1.0)
-    first.sets, first.chosen = fits, fits[0]
-    return ambiguous(first, ("coulomb_friction",))
+    scores = SearchProblem(base, (), 0.01, 3, 20, 1.0).scores(ones)
+    return ambiguous(RankedSets(scores, tuple(fits)), fits[0], ("coulomb_friction",))
 
 
 def test_stribeck_friction_that_cannot_be_excluded_is_said_beside_coulomb():

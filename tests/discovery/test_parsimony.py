@@ -9,7 +9,7 @@ import eoi_jax as eoi
 from eoi_jax import effects
 from eoi_jax.discovery import parsimony
 from eoi_jax.discovery.refit import free_runs
-from eoi_jax.discovery.round import Task
+from eoi_jax.discovery.task import Task
 from eoi_jax.estimation.identify import estimate
 from eoi_jax.estimation.preparation import prepare_records
 from eoi_jax.models.augmented import augmented, place

@@ -7,7 +7,7 @@ import pytest
 
 import eoi_jax as eoi
 from eoi_jax.discovery.refit import free_runs, not_simulated, refitted, window_of
-from eoi_jax.discovery.round import Task
+from eoi_jax.discovery.task import Task
 from eoi_jax.estimation.identify import estimate
 from eoi_jax.estimation.preparation import prepare_records
 
@@ -37,9 +37,8 @@ def task():
 
 
 def test_parameters_of_the_search_are_kept_where_they_are_better_and_the_fit_is_theirs(task):
-    notes = []
-    found = refitted(task, TRUE, notes)
-    assert notes == ["parameters are those of the search: in free runs better than the refit's"]
+    found, notes = refitted(task, TRUE)
+    assert notes == ("parameters are those of the search: in free runs better than the refit's",)
     assert found.parameters == TRUTH
     assert found.plant.parameters == TRUTH
     assert np.array_equal(found.parameter_history[found.best_pass], TRUE.theta)
@@ -50,9 +49,8 @@ def test_parameters_of_the_search_are_kept_where_they_are_better_and_the_fit_is_
 
 def test_the_estimate_is_kept_where_it_is_better(task):
     far = TRUE.with_parameters({name: 1.5 * value for name, value in TRUTH.items()})
-    notes = []
-    found = refitted(task, far, notes)
-    assert notes == []
+    found, notes = refitted(task, far)
+    assert notes == ()
     for name, value in TRUTH.items():
         assert found.parameters[name] == pytest.approx(value, rel=0.2)
 

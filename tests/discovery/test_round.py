@@ -8,12 +8,13 @@ import pytest
 
 import eoi_jax as eoi
 from eoi_jax import effects
-from eoi_jax.discovery import round
+from eoi_jax.discovery import task
 from eoi_jax.discovery.candidates import CandidateColumns
 from eoi_jax.discovery.cosine_modes import ModalRecord, modal_record
 from eoi_jax.discovery.noise_spectrum import expected_power
 from eoi_jax.discovery.regression import Fit
-from eoi_jax.discovery.round import in_step, read_friction
+from eoi_jax.discovery.round import read_friction
+from eoi_jax.discovery.round_start import in_step
 from eoi_jax.models.augmented import place
 
 TIME = np.arange(0.0, 40.0, 0.01)
@@ -76,5 +77,5 @@ def test_an_output_at_rest_has_some_power_all_the_same():
 
 @pytest.mark.parametrize(("waiting", "threads"), [(True, 0), (False, os.cpu_count())])
 def test_models_that_xla_waits_for_are_evaluated_by_one_thread(monkeypatch, waiting, threads):
-    monkeypatch.setattr(round, "waits", lambda plant: waiting)
-    assert round.Task.threads.func(SimpleNamespace(plant=None)) == threads
+    monkeypatch.setattr(task, "waits", lambda plant: waiting)
+    assert task.Task.threads.func(SimpleNamespace(plant=None)) == threads

@@ -21,7 +21,7 @@ from eoi_jax.discovery.regression import (
     solve,
     within_bounds,
 )
-from eoi_jax.discovery.search import Search, _span
+from eoi_jax.discovery.search import RankedSets, Scores, SearchProblem, _span, search_sets
 from eoi_jax.models.augmented import Placed
 from eoi_jax.models.effects.effect import AbstractEffect
 from eoi_jax.models.placements import placements
@@ -64,12 +64,18 @@ def no_shapes(placed: Placed, shapes: np.ndarray) -> list[CandidateColumns]:
     raise AssertionError("an effect without shapes has nothing to refine")
 
 
+def search_all(
+    known: Base, grid: list[CandidateColumns], make: Callable, alpha: float = 0.01
+) -> RankedSets:
+    lacking = known.signal_power(fitted(known, [], np.ones(ROWS)).residual)
+    return search_sets(SearchProblem(known, tuple(grid), alpha, 3, len(grid), lacking), make)
+
+
 def search(
     known: Base, grid: list[CandidateColumns], make: Callable = no_shapes, alpha: float = 0.01
-) -> tuple[Search, Fit]:
-    lacking = known.signal_power(fitted(known, [], np.ones(ROWS)).residual)
-    found = Search(known, grid, make, alpha, 3, len(grid), lacking)
-    return found, found.run()[0]
+) -> tuple[Scores, Fit]:
+    found = search_all(known, grid, make, alpha)
+    return found.scores, found.sets[0]
 
 
 def names(fit: Fit) -> set[str]:
@@ -242,8 +248,8 @@ def test_nothing_is_found_in_noise():
     false = 0
     for seed in range(40):
         known = base(np.zeros(ROWS), parts[:, :2], seed)
-        found = Search(known, grid, no_shapes, 0.01, 3, len(grid), 1e-9)  # everything matters
-        false += bool(found.run()[0].atoms)
+        problem = SearchProblem(known, tuple(grid), 0.01, 3, len(grid), 1e-9)  # everything matters
+        false += bool(search_sets(problem, no_shapes).sets[0].atoms)
     assert false <= 2
 
 
@@ -275,8 +281,9 @@ def test_family_needs_more_than_significance_beside_its_simplest_member():
     grid = make(named(effects.StribeckFriction()), np.array([[0.5], [1.0]]))
     grid.append(atom(effects.CoulombFriction(), parts[:, 2]))
     known = base(5.0 * parts[:, 2] + 0.1 * parts[:, 3], parts[:, :2])
-    found, best = search(known, grid, make)
-    family = next(fit for fit in found.run() if names(fit) == {"stribeck_friction"})
+    ranked = search_all(known, grid, make)
+    found, best = ranked.scores, ranked.sets[0]
+    family = next(fit for fit in ranked.sets if names(fit) == {"stribeck_friction"})
     assert names(best) == {"coulomb_friction"}
     assert found.value(family) < found.value(best)
     assert not found.material(family)

@@ -14,7 +14,7 @@ from eoi_jax.data.windows import plan
 from eoi_jax.discovery.candidates import CandidateColumns
 from eoi_jax.discovery.confirm import as_good, confirmed, holds, only_short
 from eoi_jax.discovery.regression import Base
-from eoi_jax.discovery.search import Search
+from eoi_jax.discovery.search import Scores, SearchProblem
 from eoi_jax.models.augmented import Placed
 from eoi_jax.models.effects.effect import AbstractEffect
 from eoi_jax.simulation.sensitivity import added_up
@@ -30,19 +30,13 @@ def atom(effect: AbstractEffect, own: np.ndarray) -> CandidateColumns:
     return CandidateColumns(Placed(effect, 0, names), (1.0,) * len(effect.shapes), own, None)
 
 
-def no_shapes(placed: Placed, shapes: np.ndarray) -> list[CandidateColumns]:
-    raise AssertionError
-
-
-def searching(target: np.ndarray, grid: list[CandidateColumns], alpha: float, names: int) -> Search:
+def searching(target: np.ndarray, grid: list[CandidateColumns], alpha: float, names: int) -> Scores:
     """Rows of unit variance, nothing declared."""
     base = Base(
         target, np.zeros((ROWS, 0)), np.arange(0), np.ones(ROWS), np.ones(ROWS),
         np.zeros(ROWS, int),
     )  # fmt: skip
-    search = Search(base, grid, no_shapes, alpha, 3, names, 0.0)
-    search.power = np.ones(ROWS)
-    return search
+    return Scores(SearchProblem(base, tuple(grid), alpha, 3, names, 0.0), np.ones(ROWS))
 
 
 def test_a_set_costs_its_test_by_bonferroni_bic_for_further_parameters_and_its_rarity():

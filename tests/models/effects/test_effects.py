@@ -14,7 +14,7 @@ from eoi_jax.compiler.programs import jit
 from eoi_jax.discovery.candidates import atoms
 from eoi_jax.discovery.cosine_modes import modal_record
 from eoi_jax.discovery.regression import fitted
-from eoi_jax.discovery.round import base_of
+from eoi_jax.discovery.round_start import base_of
 from eoi_jax.models.augmented import Placed, augmented, place, unit
 from eoi_jax.models.effects.effect import (
     AbstractActuator,
