@@ -72,6 +72,7 @@ def silenced(monkeypatch):
     """An injection that is silent, of parameters that stay where they are."""
     module = importlib.import_module("eoi_jax.discovery.discover")
     monkeypatch.setattr(module, "estimate", _as_declared(module.estimate))
+    module = importlib.import_module("eoi_jax.discovery.in_injection")
     monkeypatch.setattr(module, "judged", lambda *_: Status("nothing_missing", "silence"))
     monkeypatch.setattr(module, "refined_answer", lambda _, found, __: found)
 
