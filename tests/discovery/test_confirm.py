@@ -8,6 +8,7 @@ import pytest
 
 from eoi_jax import Plant, Record, discover, validate
 from eoi_jax._status import Status
+from eoi_jax.discovery import in_injection
 from eoi_jax.discovery.confirm import beyond_noise
 from tests import problems
 
@@ -71,9 +72,8 @@ def test_of_slow_samples_an_error_within_their_differences_is_more_than_noise(se
 def silenced(monkeypatch):
     """An injection that is silent, of parameters that stay where they are."""
     module = importlib.import_module("eoi_jax.discovery.discover")
+    monkeypatch.setattr(in_injection, "judged", lambda *_: Status("nothing_missing", "silence"))
     monkeypatch.setattr(module, "estimate", _as_declared(module.estimate))
-    module = importlib.import_module("eoi_jax.discovery.in_injection")
-    monkeypatch.setattr(module, "judged", lambda *_: Status("nothing_missing", "silence"))
     monkeypatch.setattr(module, "refined_answer", lambda _, found, __: found)
 
 
