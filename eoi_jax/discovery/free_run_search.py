@@ -10,7 +10,8 @@ parameters are biased hides right effects from both. The search:
    and the set that the injection came to; an offset, and cells in series, in any case; laws that
    are like a term of the declared model, in its place (`replacements`).
 3. Each of the first few is added, and all parameters are refined again; of an effect with several
-   forms also the further ones, as long as they fit better.
+   forms also the further ones, as long as they fit better, and of one of which the score test has
+   several maxima (the wave number of a ripple) from each.
 4. The judge: the free-run errors on records that no fit has seen, whole and in windows. The best
    candidate stays where their mean logarithm falls enough, and the paired difference over blocks of
    these records exceeds its own standard error by enough. Then from 2, until none does.
@@ -46,7 +47,7 @@ from eoi_jax.models.effects.effect import AbstractCascade, AbstractEffect
 from eoi_jax.models.placements import placements
 from eoi_jax.models.plant import Plant
 from eoi_jax.refinement.refine import refine_once
-from eoi_jax.refinement.remaining import remaining
+from eoi_jax.refinement.remaining import Remaining, remaining
 from eoi_jax.refinement.score_test import Candidate, is_tested
 from eoi_jax.simulation.error_growth import is_lost, returns
 
@@ -145,7 +146,7 @@ def search_free_runs(
     if not searches:
         return None
     search = _most_likely(searches)
-    best, rounds = search.base, []
+    best, rounds, leanest = search.base, [], None
     for number in range(1 if present else _RULES.most):
         # What short runs do not show or fit a whole one may, and the other way about.
         models = [
@@ -165,6 +166,10 @@ def search_free_runs(
         trials = [trial for model in models if (trial := search.fitted(*model)) is not None]
         trials += search.further_forms(trials)
         accepted = [trial for trial in trials if search.judge.prefers(trial.runs, best.runs)]
+        if not accepted and best is not leanest:
+            # What stood in for an effect that is found beside it may have hidden another one.
+            best = leanest = search.leanest(best)
+            continue
         if not accepted:
             break
         chosen = search.judge.plainest_of_all(trials, search.answers(accepted) or accepted)
@@ -262,9 +267,10 @@ class Search:
         offsets = [effect for effect in effects if isinstance(effect, ConstantOffset)]
         # What has no linear test: none at all would find it.
         untested = [e for e in effects if isinstance(e, AbstractCascade) and not is_tested(e)]
-        items = remaining(best.refinement, effects, level=level).significant
+        tested = remaining(best.refinement, effects, level=level)
         least = _RULES.share if self.base.placed else 0.0
-        sets = [(item.placed, item.values) for item in _nearly_best(items) if item.share >= least]
+        items = [item for item in _nearly_best(tested.significant) if item.share >= least]
+        sets = [(item.placed, item.values) for item in items]
         if not self.base.placed:
             sets += [((placed,), dict.fromkeys(placed.names, 0.0))
                      for placed in placements(plant, offsets)]  # fmt: skip
@@ -278,7 +284,11 @@ class Search:
         models, allowed = list(first.values()), 1 if self.base.placed else _RULES.products
         products = [i for i, (_, placed) in enumerate(models) if _has_product(placed)]
         models = [model for i, model in enumerate(models) if i not in products[allowed:]]
-        return models[: _RULES.tried + len(certain)]
+        further = _further_shapes(tested, items)[: _RULES.shapes]
+        return [
+            *models[: _RULES.tried + len(certain)],
+            *((augmented(plant, item.placed, item.values), item.placed) for item in further),
+        ]
 
     def fitted(self, plant: Plant, placed: tuple[Placed, ...], best: Judged) -> Judged | None:
         """A model refined over runs as those of the best one so far, and judged.
@@ -498,6 +508,21 @@ def _nearly_best(candidates: Sequence[Candidate]) -> list[Candidate]:
         if 1.0 - candidate.share <= _RULES.remainder * (1.0 - max(alike)):
             chosen.append(candidate)
     return chosen
+
+
+def _further_shapes(tested: Remaining, items: Sequence[Candidate]) -> list[Candidate]:
+    """Effects at other shapes that explain nearly as much, at the maxima of their share.
+
+    Fits that begin at one shape do not come to another maximum.
+    """
+    shares = {item.placed: item.share for item in items}
+    return [
+        item
+        for item in tested.further_shapes
+        if item.placed in shares
+        and item.significance < tested.level
+        and 1.0 - item.share <= _RULES.remainder * (1.0 - shares[item.placed])
+    ]
 
 
 def _has_product(placed: Sequence[Placed]) -> bool:

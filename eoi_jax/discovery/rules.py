@@ -259,6 +259,7 @@ class FreeRunRules:
     most: int = 4  # effects or pairs that are added one after another
     tried: int = 6  # candidates that are refined with in each round
     products: int = 3  # of these with a product of signals, which names no cause
+    shapes: int = 2  # effects at other maxima of the score test; with throttle_valve in view
     # Share of the power of the errors, in the score test, from which on a candidate is tried beside
     # what explains the injection. A fall of the errors by a third takes 0.56 of their power; the
     # rest is room for what a linear test does not see. Set with levitator_coil in view.

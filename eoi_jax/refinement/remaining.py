@@ -18,7 +18,7 @@ from eoi_jax._display import Result
 from eoi_jax.data.holds import made_alike
 from eoi_jax.data.record import Record
 from eoi_jax.estimation.holdout import check_scored_records, held_out_records
-from eoi_jax.models.augmented import augmented
+from eoi_jax.models.augmented import Placed, augmented
 from eoi_jax.models.effects import rare, standard
 from eoi_jax.models.effects.effect import AbstractEffect
 from eoi_jax.models.placements import placements
@@ -59,6 +59,8 @@ class Remaining(Result):
         level: of significance.
         held_out: error of the refined model on records that were not used; None without any.
         trials: the most significant candidates, on the same records.
+        further_shapes: effects of the ranking at other shapes, where the share that they explain
+            has another maximum: the ripple of a drive at another wave number. By their share.
     """
 
     plant: Plant
@@ -68,6 +70,7 @@ class Remaining(Result):
     level: float
     held_out: Validation | None = None
     trials: tuple[Trial, ...] = ()
+    further_shapes: tuple[Candidate, ...] = ()
 
     @property
     def answer(self) -> Trial | None:
@@ -169,7 +172,11 @@ def remaining(
     tries = [effect for placed in placed_effects for effect in runs.tries(placed)]
     shares = [runs.share((effect,)) for effect in tries]
     ranking = [runs.candidate((effect,), len(tries)) for effect in _best(tries, shares)]
-    result = Remaining(plant, _ranked(ranking), _pairs(runs, tries, shares), refinement.rmse, level)
+    maxima = [runs.candidate((effect,), len(tries)) for effect in _further_maxima(tries, shares)]
+    result = Remaining(
+        plant, _ranked(ranking), _pairs(runs, tries, shares), refinement.rmse, level,
+        further_shapes=_by_share(maxima),
+    )  # fmt: skip
     if not validation_records:
         return result
     trials = _trials(refinement, result.significant, validation_records, substeps)
@@ -201,13 +208,39 @@ def _best(tries: Sequence[Try], shares: Sequence[float | None]) -> list[Try]:
     return [attempt for _, attempt in best.values()]
 
 
+def _further_maxima(
+    tries: Sequence[Try], shares: Sequence[float | None], prominence: float = 0.5
+) -> list[Try]:
+    """Effects of one shape at the maxima of their share beside the largest one.
+
+    Beside a maximum the share falls by `prominence` of it or more.
+    """
+    from scipy.signal import find_peaks  # only discovery needs it
+
+    curves: dict[Placed, list[tuple[float, float, Try]]] = {}
+    for attempt, share in zip(tries, shares, strict=True):
+        if len(attempt.shape) == 1:
+            curve = curves.setdefault(attempt.placed, [])
+            curve.append((float(attempt.shape[0]), share or 0.0, attempt))
+    maxima: list[Try] = []
+    for curve in curves.values():
+        curve.sort(key=lambda point: point[0])
+        heights = np.array([0.0, *(share for _, share, _ in curve), 0.0])
+        peaks, _ = find_peaks(heights, prominence=prominence * heights)
+        maxima += [curve[peak - 1][2] for peak in peaks if peak != np.argmax(heights)]
+    return maxima
+
+
+def _by_share(candidates: Sequence[Candidate | None]) -> tuple[Candidate, ...]:
+    """Those that are physical, by their share."""
+    physical = [candidate for candidate in candidates if candidate is not None]
+    return tuple(sorted(physical, key=lambda candidate: -candidate.share))
+
+
 def _ranked(candidates: Sequence[Candidate | None]) -> tuple[Candidate, ...]:
     """By share; of sets with the same effects at the same channels the best one."""
     best_at: dict[Any, Candidate] = {}
-    for candidate in sorted(
-        (candidate for candidate in candidates if candidate is not None),
-        key=lambda candidate: -candidate.share,
-    ):
+    for candidate in _by_share(candidates):
         best_at.setdefault(tuple(placed.site for placed in candidate.placed), candidate)
     return tuple(best_at.values())
 

@@ -10,8 +10,8 @@ from scipy.signal import lfilter
 import eoi_jax as eoi
 from eoi_jax import effects
 from eoi_jax.discovery import free_run_search, in_free_runs
-from eoi_jax.discovery.free_run_search import Search, search_free_runs
-from eoi_jax.discovery.judge import Judge, Judged, _standardised
+from eoi_jax.discovery.free_run_search import FreeRunAnswer, Search, search_free_runs
+from eoi_jax.discovery.judge import Judge, Judged, _standardised, mean_error
 from eoi_jax.models.augmented import augmented, place
 from eoi_jax.models.effects import Product
 from eoi_jax.refinement.refine import refine_once
@@ -393,6 +393,42 @@ def test_a_plain_law_that_is_no_answer_does_not_come_before_one_that_is():
     base, *models = trials.values()
     search = Search(judge.records, judge.records, judge, (base,))
     assert [model.placed[0].effect.name for model in search.answers(models)] == ["product"]
+
+
+def test_the_search_goes_on_from_what_is_left_without_stand_ins(monkeypatch):
+    """A product hid an offset beside an end stop; without it the offset is found."""
+    judge, models = judged_with(
+        {"none": 0.0, "end_stop": -0.6, "product": -0.5, "constant_offset": -0.9}
+    )
+    base, stop, stand_in, offset = models.values()
+    plant = base.refinement.plant
+    wide, answer = (
+        replace(model, placed=(*stop.placed, *model.placed)) for model in (stand_in, offset)
+    )
+    found_from = {id(base): wide, id(stop): answer}
+
+    def candidates(_, best, *__):
+        return [(plant, ())] if id(best) in found_from else []
+
+    monkeypatch.setattr(free_run_search, "_begun", lambda *_: [search])
+    monkeypatch.setattr(free_run_search, "replacements", lambda *_: [])
+    monkeypatch.setattr(Search, "candidates", candidates)
+    monkeypatch.setattr(Search, "fitted", lambda _, __, ___, best: found_from[id(best)])
+    monkeypatch.setattr(Search, "further_forms", lambda *_: [])
+    monkeypatch.setattr(Search, "leanest", lambda _, best: stop if best is wide else best)
+    monkeypatch.setattr(Search, "settled", lambda _, best: [best])
+    monkeypatch.setattr(
+        Judge, "prefers", lambda _, trial, best: mean_error(trial) < mean_error(best)
+    )
+    search = Search(judge.records, judge.records, judge, (base,))
+    ended = FreeRunAnswer(base, (answer,), judge.records, judge, better_base=False, share=1.0)
+    monkeypatch.setattr(Search, "answer", lambda _, fits, __: replace(ended, fits=tuple(fits)))
+    found = search_free_runs([plant], [(judge.records, judge.records)], [])
+    assert found is not None
+    assert found.best is answer
+    assert all(
+        contest.chosen is model for contest, model in zip(found.rounds, (wide, answer), strict=True)
+    )
 
 
 def test_records_too_short_for_windows_are_not_judged():

@@ -290,6 +290,7 @@ LATER_FIELDS = {
     "test_windows_before": None,
     "test_windows_after": None,
     "wraps": None,
+    "further_shapes": {"tuple": []},
 }
 # Words that have changed since.
 LATER_WORDS = {("code", "explained"): "complete"}

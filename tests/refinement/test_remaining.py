@@ -11,8 +11,8 @@ from eoi_jax import effects
 from eoi_jax._status import Status
 from eoi_jax.models.augmented import augmented, place
 from eoi_jax.refinement.refine import refine
-from eoi_jax.refinement.remaining import Remaining, remaining
-from eoi_jax.refinement.score_test import Candidate
+from eoi_jax.refinement.remaining import Remaining, _further_maxima, remaining
+from eoi_jax.refinement.score_test import Candidate, Try
 
 PERIOD = 5e-3
 TIME = np.arange(4001) * PERIOD
@@ -141,6 +141,29 @@ def test_two_effects_are_the_answer_where_they_leave_less_than_half(shares, firs
     assert names == ([first, *others] if first else [])
     assert (found.best is None) if first is None else (found.best is found.significant[0])
     assert found.answer is None
+
+
+@pytest.mark.parametrize(
+    ("shares", "further"),
+    [
+        ([0.1, 0.5, 0.1, 0.4, 0.1], [3]),  # the wave number of a ripple, and another one
+        ([0.4, 0.1, 0.5, 0.1, 0.3], [0, 4]),  # also at the ends of the grid
+        ([0.1, 0.5, 0.35, 0.4, 0.1], []),  # a dent is no other maximum
+        ([None, 0.5, None, 0.4, None], [3]),  # shapes that are not physical explain nothing
+        ([0.1, 0.2, 0.3, 0.2, 0.1], []),
+    ],
+)
+def test_other_maxima_of_the_share_over_the_grid_are_further_shapes(shares, further):
+    ripple = place(PLANT, effects.PositionRipple(), 0)
+    tries = [Try(ripple, np.array([float(k)]), np.zeros((1, 2))) for k in range(len(shares))]
+    order = [2, 0, 4, 1, 3]  # the grid need not be sorted
+    found = _further_maxima([tries[i] for i in order], [shares[i] for i in order])
+    assert [int(attempt.shape[0]) for attempt in found] == further
+
+
+def test_effects_of_several_shapes_and_of_none_have_no_further_ones():
+    stop = Try(place(PLANT, effects.ConstantOffset(), 0), np.zeros(0), np.zeros((1, 1)))
+    assert _further_maxima([stop, stop, stop], [0.5, 0.1, 0.4]) == []
 
 
 def test_only_given_effects_are_tried():
