@@ -220,3 +220,31 @@ def test_a_control_error_needs_an_input_that_commands_the_output():
     assert not placements(shown, [law])
     at = effects.At(*jnp.asarray([0.0, 10.0, 0.0, 50.0]), z=None)
     assert float(law.changed(at, [30.0])) == 40.0
+
+
+def weighed(t, x, u, p):
+    return followed(t, x, u, p) - p.weight * jnp.sin(x.y[0])
+
+
+def limited(t, x, u, p):
+    return p.stiffness * jnp.clip(u - x.y[0], -0.5, 0.5) - p.damping * x.y[1]
+
+
+def filled(t, x, u, p):
+    return p.stiffness * jnp.sqrt(u + 2.0) - p.damping * jnp.sqrt(x.y[0] + 2.0)
+
+
+def mixed(t, x, u, p):
+    return p.stiffness * u * x.y[0] - p.damping * x.y[1]
+
+
+@pytest.mark.parametrize(("law", "places"), [(weighed, 1), (limited, 1), (filled, 0), (mixed, 0)])
+def test_an_input_in_the_unit_of_the_output_is_one_that_the_model_takes_the_output_from(
+    law, places
+):
+    """Under a weight it is; not where the level of one tank fills another one."""
+    plant = eoi.Plant(
+        law, {"stiffness": 20.0, "damping": 6.0, "weight": 1.0}, relative_degree=2,
+        inputs=("command",), outputs=("angle",), units={"command": "rad", "angle": "rad"},
+    )  # fmt: skip
+    assert len(placements(plant, [effects.ErrorSaturation()])) == places

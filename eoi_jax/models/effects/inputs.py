@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Float
 
 from eoi_jax.data.recursion import states
-from eoi_jax.models.commands import commands_output
+from eoi_jax.models.commands import commands_output, subtracts_output
 from eoi_jax.models.effects.effect import (
     AbstractActuator,
     AbstractInputEffect,
@@ -72,13 +72,15 @@ class ErrorSaturation(AbstractInputEffect):
     only_in_free_runs = True
 
     def fits(self, plant: Plant, output: int) -> bool:
-        """Whether the input has the unit of the first output, or commands it in the model."""
+        """Whether the model knows the input by the control error; without units, by it alone."""
         if plant.degrees[0] == 0:
             return False
         unit, of_output = (
             plant.units.get(name) for name in (plant.inputs[output], plant.outputs[0])
         )
-        return unit == of_output if unit and of_output else commands_output(plant, output)
+        if unit and of_output:
+            return unit == of_output and subtracts_output(plant, output)
+        return commands_output(plant, output)
 
     def grid(self, seen: Seen) -> Grid:
         return InputSaturation().grid(replace(seen, u=seen.u - seen.y))
