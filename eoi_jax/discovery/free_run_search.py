@@ -39,7 +39,7 @@ from eoi_jax.discovery.judge import (
 )
 from eoi_jax.discovery.probability import Contest
 from eoi_jax.discovery.refit import not_simulated
-from eoi_jax.discovery.replacements import replaced_terms, replacements
+from eoi_jax.discovery.replacements import replaced_terms, replacements, turned_terms
 from eoi_jax.discovery.rules import RULES
 from eoi_jax.models.augmented import Placed, augmented, place
 from eoi_jax.models.effects import PRODUCTS, ConstantOffset, Drift, SinusoidalDisturbance
@@ -304,7 +304,17 @@ class Search:
             if any(item in placed for item in unknown):
                 return None
             trial = self._with_only([item for item in trial.placed if item not in unknown], trial)
-        return trial
+        return None if trial is None else self._without_turned(trial)
+
+    def _without_turned(self, model: Judged) -> Judged:
+        """A model without the declared terms whose place its effects have taken."""
+        names = turned_terms(self.base, model)
+        if not names:
+            return model
+        plant = model.refinement.plant.declared_anew(dict.fromkeys(names, 0.0), fixed=names)
+        fit = _fitted(plant, model.placed, self.searched, model.refinement.window, self.judge)
+        known = fit is not None and not self._of_unknown_size(fit)
+        return fit if fit is not None and known else model
 
     def _of_unknown_size(self, model: Judged) -> list[Placed]:
         """Effects of a model of which the records do not tell the size."""

@@ -423,8 +423,7 @@ _PORTION = (
     "effects were searched in {:.3g} % of the samples, to save time; all of them refined the model"
 )
 _REPLACED = (
-    "{} is fixed at 0: in place of its term {} predicts the held-out records better, with as many "
-    "parameters"
+    "{} is fixed at 0: with {} in place of its term the model predicts the held-out records better"
 )
 _LONG_RUNS = (
     "in short runs the predictions with and without it hardly differ: long runs decide, whose "

@@ -10,6 +10,7 @@ from collections.abc import Sequence
 import numpy as np
 from jaxtyping import Float
 
+from eoi_jax.discovery.additions import size_is_known
 from eoi_jax.discovery.judge import Judged
 from eoi_jax.discovery.rules import RULES
 from eoi_jax.models.augmented import Placed, added_effects, augmented
@@ -58,6 +59,30 @@ def replacements(model: Judged, effects: Sequence[AbstractEffect]) -> list[Model
 def replaced_terms(declared: Plant, plant: Plant) -> tuple[str, ...]:
     """Parameters of a declared model whose terms an effect has replaced in another one."""
     return tuple(name for name in plant.fixed if name not in declared.fixed)
+
+
+def turned_terms(base: Judged, model: Judged) -> tuple[str, ...]:
+    """Declared parameters whose sign effects have turned, to a value that may as well be zero.
+
+    Beside such an effect the records tell little of the term: a bit of noise makes a damping
+    negative, and the rest unstable. The effect has taken its place. The base must know the sign,
+    and have it as it was declared.
+
+    Args:
+        base: without the effects.
+        model: with them.
+    """
+    plant, before, after = base.refinement.plant, base.refinement, model.refinement
+    free = [name for name in plant.names if name not in after.plant.fixed]
+    limits = dict(zip(plant.names, zip(plant.lower, plant.upper, strict=True), strict=True))
+    return tuple(
+        name
+        for name in free
+        if before.parameters[name] * after.parameters[name] < 0.0
+        and limits[name][0] <= 0.0 <= limits[name][1]
+        and size_is_known((name,), before.parameters, before.standard_errors)
+        and not size_is_known((name,), after.parameters, after.standard_errors)
+    )
 
 
 def _substitutes(
