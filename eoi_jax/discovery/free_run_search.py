@@ -313,8 +313,7 @@ class Search:
             return model
         plant = model.refinement.plant.declared_anew(dict.fromkeys(names, 0.0), fixed=names)
         fit = _fitted(plant, model.placed, self.searched, model.refinement.window, self.judge)
-        known = fit is not None and not self._of_unknown_size(fit)
-        return fit if fit is not None and known else model
+        return model if fit is None or self._of_unknown_size(fit) else fit
 
     def _of_unknown_size(self, model: Judged) -> list[Placed]:
         """Effects of a model of which the records do not tell the size."""

@@ -65,23 +65,23 @@ def turned_terms(base: Judged, model: Judged) -> tuple[str, ...]:
     """Declared parameters whose sign effects have turned, to a value that may as well be zero.
 
     Beside such an effect the records tell little of the term: a bit of noise makes a damping
-    negative, and the rest unstable. The effect has taken its place. The base must know the sign,
-    and have it as it was declared.
+    negative, and the rest unstable. The effect has taken its place. The base must know the sign.
 
     Args:
         base: without the effects.
         model: with them.
     """
-    plant, before, after = base.refinement.plant, base.refinement, model.refinement
-    free = [name for name in plant.names if name not in after.plant.fixed]
+    plant, plain_fit, fit = base.refinement.plant, base.refinement, model.refinement
     limits = dict(zip(plant.names, zip(plant.lower, plant.upper, strict=True), strict=True))
+    added = [name for placed in added_effects(plant) for name in placed.names]
+    names = [name for name in plant.names if name not in (*added, *fit.plant.fixed)]
     return tuple(
         name
-        for name in free
-        if before.parameters[name] * after.parameters[name] < 0.0
+        for name in names
+        if plain_fit.parameters[name] * fit.parameters[name] < 0.0
         and limits[name][0] <= 0.0 <= limits[name][1]
-        and size_is_known((name,), before.parameters, before.standard_errors)
-        and not size_is_known((name,), after.parameters, after.standard_errors)
+        and size_is_known((name,), plain_fit.parameters, plain_fit.standard_errors)
+        and not size_is_known((name,), fit.parameters, fit.standard_errors)
     )
 
 
