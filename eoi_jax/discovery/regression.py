@@ -362,10 +362,15 @@ def settled(model: Plant, stretches: Sequence[ModalRecord], power: Rows, start: 
         new[free] = np.clip(x * scale, low, high)
         return model.with_parameters(new)
 
+    evaluated: dict[bytes, tuple[Rows, Float[np.ndarray, "rows free"]]] = {}
+
     def errors_and_slopes(x: Free) -> tuple[Rows, Float[np.ndarray, "rows free"]]:
-        target, slopes = model_rows(moved(x), stretches)
-        error, slope = target[0] * weight, -slopes[0][:, free] * scale * weight[:, None]
-        return np.clip(np.nan_to_num(error, nan=_LARGE), -_LARGE, _LARGE), np.nan_to_num(slope)
+        if x.tobytes() not in evaluated:  # errors and slopes of a point are asked for in turn
+            target, slopes = model_rows(moved(x), stretches)
+            error, slope = target[0] * weight, -slopes[0][:, free] * scale * weight[:, None]
+            error = np.clip(np.nan_to_num(error, nan=_LARGE), -_LARGE, _LARGE)
+            evaluated[x.tobytes()] = error, np.nan_to_num(slope)
+        return evaluated[x.tobytes()]
 
     steps = [theta[free] + share * (start - theta)[free] for share in (1.0, 0.5, 0.25, 0.0)]
     candidates = [np.clip(values, low, high) / scale for values in steps]

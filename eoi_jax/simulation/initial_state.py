@@ -66,6 +66,7 @@ def initial_states(
     valid: Bool[np.ndarray, "runs time ny"],
     past: Float[np.ndarray, "runs steps 3 nu past"] | None = None,
     begins: Bool[np.ndarray, " runs"] | None = None,
+    owners: Int[np.ndarray, " runs"] | None = None,
 ) -> Starts:
     """Least squares of each free run over its first samples, by Gauss-Newton.
 
@@ -78,12 +79,14 @@ def initial_states(
             a plant with delays or lags of inputs.
         begins: which runs begin with their record: known starts of the plant hold there. None: no
             run does.
+        owners: number of the record of each run, in rising order: outputs count by their spread in
+            the runs of one record. None: all are of one.
 
     Returns:
         Outputs and their derivatives, then z, then the levels before the record, less the first
         values of the inputs.
     """
-    return window_starts(run, heads, y, valid, past, begins, None)[0]
+    return window_starts(run, heads, y, valid, past, begins, None, owners)[0]
 
 
 def window_starts(
@@ -94,6 +97,7 @@ def window_starts(
     past: Float[np.ndarray, "runs steps 3 nu past"] | None,
     begins: Bool[np.ndarray, " runs"] | None,
     carried: State | None,
+    owners: Int[np.ndarray, " runs"] | None = None,
 ) -> tuple[Starts, Starts]:
     """Initial states as the first samples of each run tell them, and as a longer run has them.
 
@@ -106,6 +110,7 @@ def window_starts(
         begins: which runs begin with their record.
         carried: states that a run along the whole record has at each start; not finite ones do not
             count. None: there is no such run.
+        owners: as of `initial_states`.
 
     Returns:
         Values as of `initial_states`: with the internal states of the longer run unless the first
@@ -130,13 +135,22 @@ def window_starts(
     fixed = known_starts(run.plant, begins, starts.shape[::2])
     if fixed is not None:
         starts = np.where(np.isfinite(fixed)[:, None], fixed[:, None], starts)
-    spread = np.sqrt(np.mean(np.var(y, axis=1), axis=0))
-    spread = np.where(spread > 0, spread, 1.0)
+    spread = _spread(y, np.zeros(len(y), int) if owners is None else owners)
     first_samples = _Heads(run, heads, y, valid, period, spread, past, fixed)
     cost, values = _descend(first_samples, starts, measured)
     if not np.any(run.plant.open_internal) and past is None:
         return values, values
     return _with_internal(first_samples, _Fit(cost, values), starts, measured, carried)
+
+
+def _spread(
+    y: Float[np.ndarray, "runs time ny"], owners: Int[np.ndarray, " runs"]
+) -> Float[np.ndarray, "runs ny"]:
+    """Standard deviation of the outputs, of all runs of a record together."""
+    variances = np.split(np.var(y, axis=1), np.flatnonzero(np.diff(owners)) + 1)
+    spread = [np.sqrt(np.mean(part, axis=0)) for part in variances]
+    each_run = np.repeat(spread, [len(part) for part in variances], axis=0)
+    return np.where(each_run > 0, each_run, 1.0)
 
 
 class _Fit(NamedTuple):
@@ -304,7 +318,7 @@ class _Heads:
     y: Float[np.ndarray, "runs time ny"]
     valid: Bool[np.ndarray, "runs time ny"]
     period: float
-    spread: Float[np.ndarray, " ny"]
+    spread: Float[np.ndarray, "runs ny"]
     past: Float[np.ndarray, "runs steps 3 nu past"] | None = None
     fixed: Starts | None = None  # finite where an unknown stays as it is
 
@@ -314,8 +328,9 @@ class _Heads:
             return self
         past = None if self.past is None else self.past[runs]
         fixed = None if self.fixed is None else self.fixed[runs]
-        y, valid = self.y[runs], self.valid[runs]
-        return replace(self, heads=self._driving(runs), y=y, valid=valid, past=past, fixed=fixed)
+        y, valid, spread = self.y[runs], self.valid[runs], self.spread[runs]
+        heads = self._driving(runs)
+        return replace(self, heads=heads, y=y, valid=valid, spread=spread, past=past, fixed=fixed)
 
     def _driving(self, runs: Int[np.ndarray, " some"]) -> Drive:
         """What drives some of the runs; on the host, where another number is no compilation."""
@@ -331,7 +346,8 @@ class _Heads:
         Each output counts by its own spread: metres and radians add up to nothing.
         """
         outputs = self._simulated(values)
-        error = np.where(self.valid[:, None], self.y[:, None] - outputs, 0.0) / self.spread
+        error = np.where(self.valid[:, None], self.y[:, None] - outputs, 0.0)
+        error = error / self.spread[:, None, None]
         error = error.reshape(*values.shape[:2], -1)
         with np.errstate(over="ignore", invalid="ignore"):
             cost = np.sum(error**2, axis=-1)

@@ -4,6 +4,8 @@ The first samples of a window tell the state of a store that is not measured, or
 whole record does: the first ones where something unknown moved it, the long run where errors of the
 model are slow, for then few samples fit almost any state. Which of both holds in a window, the
 other windows of the record decide: that with which they are predicted better.
+
+Starts of all records are fitted side by side, each by the samples of its own record.
 """
 
 from collections.abc import Sequence
@@ -27,53 +29,31 @@ from eoi_jax.simulation.initial_state import (
 )
 from eoi_jax.simulation.integrator import Drive
 
-
-def planned_runs(
-    run: Run,
-    record: Record,
-    record_drive: Drive,
-    runs: Plan,
-    past: np.ndarray | None,
-    begins: Bool[np.ndarray, " runs"],
-    values: Starts | None,
-) -> tuple[Float[np.ndarray, "runs time ny"], Starts, list[str]]:
-    """Outputs of the runs, their initial values, and notes on known starts.
-
-    Args:
-        run: what all runs share.
-        record: that is simulated.
-        record_drive: what drives it, behind the plant's actuators.
-        runs: their plan.
-        past: how the inputs of all steps change with their levels before the record
-            (`past_slopes`), of a plant with delays or lags of inputs.
-        begins: which runs begin with the record.
-        values: initial ones; None: they are estimated.
-    """
-    if not runs.starts:
-        return np.zeros((0, runs.steps + 1, record.outputs.shape[1])), np.zeros((0, 0)), []
-    course = _Along(record, record_drive, past)
-    heads = course.heads(runs.starts, runs.head)
-    if values is None:
-        carried = _carried(run, course, runs, begins)
-        head_starts, record_starts = window_starts(run, *heads, begins, carried)
-        values = _chosen(run, course, runs, head_starts, record_starts)
-    declared = values if past is None else None  # without levels before the record
-    notes = contradicted_start(run, *heads[:3], declared, begins, record.name)
-    return _outputs(run, course, runs, values), values, notes
+# What drives the first samples of some runs, outputs there, which are valid, change with the past.
+Heads = tuple[Drive, np.ndarray, np.ndarray, np.ndarray | None]
 
 
 @dataclass(frozen=True)
-class _Along:
-    """A record, what drives it, and how that changes with the inputs before the record."""
+class Course:
+    """A record with the runs along it.
+
+    Attributes:
+        record: that is simulated.
+        drive: what drives it, behind the plant's actuators.
+        past: how the inputs of all steps change with their levels before the record
+            (`past_slopes`), of a plant with delays or lags of inputs.
+        runs: their plan.
+        begins: which runs begin with the record.
+    """
 
     record: Record
     drive: Drive
     past: np.ndarray | None
+    runs: Plan
+    begins: Bool[np.ndarray, " runs"]
 
-    def heads(
-        self, starts: Sequence[int], count: int
-    ) -> tuple[Drive, np.ndarray, np.ndarray, np.ndarray | None]:
-        """The first `count` samples of runs: drive, outputs, which are valid, change with past."""
+    def heads(self, starts: Sequence[int], count: int) -> Heads:
+        """The first `count` samples of runs."""
         samples = np.asarray(starts)[:, None] + np.arange(count)
         y, valid = self.record.outputs[samples], self.record.output_valid[samples]
         return _parts(self.drive, starts, count - 1), y, valid, self._past(starts, count - 1)
@@ -87,30 +67,94 @@ class _Along:
         return None if self.past is None else self.past[_steps(self.drive, starts, steps)]
 
 
-def _outputs(
-    run: Run, course: _Along, runs: Plan, values: Starts
-) -> Float[np.ndarray, "runs time ny"]:
-    drives = course.drives(runs.starts, runs.steps, values)
+def planned_runs(
+    run: Run, course: Course, values: Starts
+) -> tuple[Float[np.ndarray, "runs time ny"], list[str]]:
+    """Outputs of the runs along a record, and notes on known starts.
+
+    Args:
+        run: what all runs share.
+        course: the record.
+        values: initial ones of the runs (`estimated_starts`).
+    """
+    runs = course.runs
+    if not runs.starts:
+        return np.zeros((0, runs.steps + 1, course.record.outputs.shape[1])), []
+    heads = course.heads(runs.starts, runs.head)[:3]
+    declared = values if course.past is None else None  # without levels before the record
+    notes = contradicted_start(run, *heads, declared, course.begins, course.record.name)
+    return _outputs(run, course, values), notes
+
+
+def estimated_starts(run: Run, courses: Sequence[Course]) -> list[Starts]:
+    """Initial values of the runs along some records.
+
+    Args:
+        run: what all runs share.
+        courses: the records.
+    """
+    starts: list[Starts] = [np.zeros((0, 0))] * len(courses)
+    alike: dict[tuple, list[int]] = {}
+    for i, course in enumerate(courses):
+        runs, several = course.runs, len(course.runs.starts) > 1
+        if runs.starts:
+            key = runs.head, float(course.drive.step), runs.steps if several else None
+            alike.setdefault(key, []).append(i)
+    for group in alike.values():
+        for i, values in zip(group, _fitted(run, [courses[i] for i in group]), strict=True):
+            starts[i] = values
+    return starts
+
+
+def _fitted(run: Run, courses: Sequence[Course]) -> list[Starts]:
+    """Initial values of the runs along records with equally long first samples and windows."""
+    parts = [course.heads(course.runs.starts, course.runs.head) for course in courses]
+    begins = np.concatenate([course.begins for course in courses])
+    owners = np.repeat(np.arange(len(parts)), [len(y) for _, y, _, _ in parts])
+    fits = window_starts(run, *_joined(parts), begins, _carried(run, courses), owners)
+    by_record = zip(*(np.split(fit, np.flatnonzero(np.diff(owners)) + 1) for fit in fits),
+                    strict=True)  # fmt: skip
+    return [_chosen(run, *pair) for pair in zip(courses, by_record, strict=True)]
+
+
+def _joined(parts: Sequence[Heads]) -> Heads:
+    """The first samples of the runs of several records, side by side."""
+    drives = [drive for drive, _, _, _ in parts]
+    time, step, inputs, last = (
+        np.concatenate(arrays)
+        for arrays in zip(*((d.time, d.step, d.inputs, d.last) for d in drives), strict=True)
+    )
+    y, valid = (np.concatenate([part[i] for part in parts]) for i in (1, 2))
+    past = None if parts[0][3] is None else np.concatenate([part[3] for part in parts])
+    return Drive(time, step, inputs, drives[0].substeps, last), y, valid, past
+
+
+def _outputs(run: Run, course: Course, values: Starts) -> Float[np.ndarray, "runs time ny"]:
+    drives = course.drives(course.runs.starts, course.runs.steps, values)
     return outputs_of(run.plant, drives, states_of(run, values), run.friction)
 
 
-def _chosen(
-    run: Run, course: _Along, runs: Plan, head_starts: Starts, record_starts: Starts
-) -> Starts:
+def _chosen(run: Run, course: Course, fits: tuple[Starts, Starts]) -> Starts:
     """For each window the starts with which the other windows of the record are predicted better.
 
     So no window has a part in how it is started itself.
+
+    Args:
+        run: what all runs share.
+        course: the record.
+        fits: to the first samples, and with internal states of a run along the record.
     """
-    if len(runs.starts) < 2 or np.array_equal(head_starts, record_starts, equal_nan=True):
+    head_starts, record_starts = fits
+    if len(head_starts) < 2 or np.array_equal(head_starts, record_starts, equal_nan=True):
         return head_starts
-    errors = [_errors(run, course, runs, values) for values in (head_starts, record_starts)]
+    errors = [_errors(run, course, values) for values in fits]
     head_error, record_error = (np.sum(e, axis=0) - e for e in errors)
     return np.where((record_error < head_error)[:, None], record_starts, head_starts)
 
 
-def _errors(run: Run, course: _Along, runs: Plan, values: Starts) -> Float[np.ndarray, " runs"]:
+def _errors(run: Run, course: Course, values: Starts) -> Float[np.ndarray, " runs"]:
     """Squared errors of runs behind their first samples, of each output by its own spread."""
-    outputs, record = _outputs(run, course, runs, values), course.record
+    outputs, record, runs = _outputs(run, course, values), course.record, course.runs
     spread = np.std(record.outputs, axis=0)
     sums = []
     for start, samples, y_hat in zip(runs.starts, runs.predicted, outputs, strict=True):
@@ -123,22 +167,26 @@ def _errors(run: Run, course: _Along, runs: Plan, values: Starts) -> Float[np.nd
     return np.nan_to_num(np.asarray(sums), nan=largest, posinf=largest).clip(max=largest)
 
 
-def _carried(
-    run: Run, course: _Along, runs: Plan, begins: Bool[np.ndarray, " runs"]
-) -> State | None:
-    """States where the runs start, of a single run along the record.
+def _carried(run: Run, courses: Sequence[Course]) -> State | None:
+    """States where the runs start, of a single run along each record.
 
     That one starts from all samples of the first run. None of a plant without internal states that
     may start at any value, or without further runs.
     """
-    if len(runs.starts) < 2 or not np.any(run.plant.open_internal):
+    if len(courses[0].runs.starts) < 2 or not np.any(run.plant.open_internal):
         return None
-    first = runs.starts[:1]
-    values = initial_states(run, *course.heads(first, runs.steps + 1), begins[:1])
-    drives = course.drives(first, runs.starts[-1] - first[0], values)
-    x = states_along(run.plant, drives, states_of(run, values), run.friction)
-    steps = run.substeps * (np.asarray(runs.starts) - first[0])
-    return State(x.y[0, steps], x.z[0, steps])
+    parts = [course.heads(course.runs.starts[:1], course.runs.steps + 1) for course in courses]
+    begins = np.asarray([course.begins[0] for course in courses])
+    values = initial_states(run, *_joined(parts), begins, np.arange(len(courses)))
+    y, z = [], []
+    for course, begun in zip(courses, values[:, None], strict=True):
+        first, last = course.runs.starts[0], course.runs.starts[-1]
+        drives = course.drives([first], last - first, begun)
+        x = states_along(run.plant, drives, states_of(run, begun), run.friction)
+        steps = run.substeps * (np.asarray(course.runs.starts) - first)
+        y.append(x.y[0, steps])
+        z.append(x.z[0, steps])
+    return State(np.concatenate(y), np.concatenate(z))
 
 
 def _steps(record_drive: Drive, starts: Sequence[int], count: int) -> Int[np.ndarray, "runs steps"]:

@@ -50,7 +50,7 @@ from eoi_jax.simulation.error_growth import (
 )
 from eoi_jax.simulation.initial_state import Run, Starts
 from eoi_jax.simulation.integrator import frictional
-from eoi_jax.simulation.planned_runs import planned_runs
+from eoi_jax.simulation.planned_runs import Course, estimated_starts, planned_runs
 from eoi_jax.simulation.simulate import acted, drive, past_slopes
 from eoi_jax.simulation.start_error import sufficient_starts
 from eoi_jax.simulation.step_size import (
@@ -468,17 +468,17 @@ class _Prediction:
         run: Run,
         records: Sequence[Record],
         pieces: Sequence[_Piece],
-        starts: Sequence[np.ndarray | None] | None = None,
+        starts: Sequence[Starts] | None = None,
     ) -> "_Prediction":
         """The runs of these records, from given initial values or from estimated ones."""
         outputs = [np.full(record.outputs.shape, np.nan) for record in records]
         scored = [np.zeros(len(record), dtype=bool) for record in records]
         simulated = [np.zeros(len(record), dtype=bool) for record in records]
-        notes, begun = [], []
-        for piece, values in zip(pieces, starts or [None] * len(pieces), strict=True):
+        notes, courses = [], [_course(run, piece) for piece in pieces]
+        begun = estimated_starts(run, courses) if starts is None else starts
+        for piece, course, values in zip(pieces, courses, begun, strict=True):
             samples = slice(piece.first, piece.first + len(piece.part))
-            prediction, values, note = _predict(run, piece, values)
-            begun.append(values)
+            prediction, note = _predict(run, course, values)
             outputs[piece.owner][samples] = prediction
             scored[piece.owner][samples] = piece.plan.score
             simulated[piece.owner][samples] = True
@@ -542,18 +542,22 @@ def _halved(
     return with_steps(settled_steps(run.substeps, limit, change)[0])
 
 
-def _predict(run: Run, piece: _Piece, values: Starts | None) -> tuple[Samples, Starts, list[str]]:
-    """Free runs along a part of a record: prediction, initial values, a note if one diverges."""
-    record, runs, diverged = piece.part, piece.plan, None
+def _course(run: Run, piece: _Piece) -> Course:
+    """What drives the runs along a part of a record."""
+    part = piece.part
+    driven_by = drive(part.time, part.inputs, part.hold, run.substeps, part.skew)
+    past = None if run.plant.actuator is None else past_slopes(run.plant, driven_by)
+    begins = np.asarray(piece.plan.starts) + piece.first == 0
+    begins &= not part.continues
+    return Course(part, acted(run.plant, driven_by), past, piece.plan, begins)
+
+
+def _predict(run: Run, course: Course, values: Starts) -> tuple[Samples, list[str]]:
+    """Free runs along a part of a record: prediction, notes, also if one diverges."""
+    record, runs, diverged = course.record, course.runs, None
     prediction = np.full(record.outputs.shape, np.nan)
     predicted = np.zeros(len(record), dtype=bool)
-    driven_by = drive(record.time, record.inputs, record.hold, run.substeps, record.skew)
-    past = None if run.plant.actuator is None else past_slopes(run.plant, driven_by)
-    begins = np.asarray(runs.starts) + piece.first == 0
-    begins &= not record.continues
-    free_runs, values, notes = planned_runs(
-        run, record, acted(run.plant, driven_by), runs, past, begins, values
-    )
+    free_runs, notes = planned_runs(run, course, values)
     for start, sample_range, y_hat in zip(runs.starts, runs.predicted, free_runs, strict=True):
         bad = ~np.all(np.isfinite(y_hat[: sample_range.stop - start]), axis=1)
         if bad.any() and diverged is None:
@@ -567,7 +571,7 @@ def _predict(run: Run, piece: _Piece, values: Starts | None) -> tuple[Samples, S
         notes.append(
             f"The free run on {record.name} diverges: it is not finite from t = {diverged:g} s on."
         )
-    return joined(prediction, predicted), values, notes
+    return joined(prediction, predicted), notes
 
 
 # -- scores -------------------------------------------------------------------------------
