@@ -17,7 +17,7 @@ from jaxtyping import Float
 
 from eoi_jax.compiler.graph import Untranslatable
 from eoi_jax.compiler.loop import AbstractLoop, shapes_of
-from eoi_jax.compiler.runtime import CompiledLoop, compiled_loop, numbers
+from eoi_jax.compiler.runtime import CompiledLoop, Run, compiled_loop, numbers
 from eoi_jax.models.plant import Plant, State
 from eoi_jax.simulation.integrator import (
     Drive,
@@ -98,7 +98,7 @@ class _Chain(AbstractLoop):
 
 
 def outputs_of(
-    plant: Plant, drives: Drive, starts: State, friction: tuple[int, ...], chunk: int = 8192
+    plant: Plant, drives: Drive, starts: State, friction: tuple[int, ...]
 ) -> Float[np.ndarray, "runs time ny"]:
     """Outputs of several runs of one length and one step, at the plant's own parameters.
 
@@ -107,32 +107,84 @@ def outputs_of(
         drives: runs on the leading axis.
         starts: likewise, NumPy arrays.
         friction: which outputs stick, see `integrator.frictional`.
-        chunk: steps at a time, because of the memory of their rows.
 
     Returns:
         Outputs at every sample, the first one too.
     """
-    try:
-        y = _shown(plant, drives, starts, friction, "outputs", chunk)
-    except Untranslatable:
-        return _scanned(plant, drives, starts, friction)
-    last_substeps = slice(drives.substeps - 1, None, drives.substeps)
-    first_sample = first_outputs(plant, drives, starts)
-    return np.concatenate([first_sample, y[:, last_substeps]], axis=1)
+    return Chain(plant, friction).outputs(drives, starts)
 
 
-def states_along(
-    plant: Plant, drives: Drive, starts: State, friction: tuple[int, ...], chunk: int = 8192
-) -> State:
+def states_along(plant: Plant, drives: Drive, starts: State, friction: tuple[int, ...]) -> State:
     """States of several runs before each step and after the last; arguments as of `outputs_of`."""
     runs, (rows, ny) = len(starts.y), starts.y.shape[1:]
     try:
-        moved = _shown(plant, drives, starts, friction, "states", chunk)
+        moved = Chain(plant, friction).shown(drives, starts, "states")
     except Untranslatable:
         return _stepped(plant, drives, starts, friction)
     y, z = np.split(moved, [rows * ny], axis=2)
     y = np.concatenate([starts.y[:, None], y.reshape(runs, -1, rows, ny)], axis=1)
     return State(y, np.concatenate([starts.z[:, None], z], axis=1))
+
+
+@dataclass(frozen=True)
+class Chain:
+    """Free runs of a plant at its own parameters; what they need of it is found once.
+
+    Attributes:
+        plant: the equations.
+        friction: which outputs stick, see `integrator.frictional`.
+        chunk: steps at a time, because of the memory of their rows.
+    """
+
+    plant: Plant
+    friction: tuple[int, ...]
+    chunk: int = 8192
+
+    def outputs(self, drives: Drive, starts: State) -> Float[np.ndarray, "runs time ny"]:
+        """`outputs_of` the plant."""
+        try:
+            y = self.shown(drives, starts, "outputs")
+        except Untranslatable:
+            return _scanned(self.plant, drives, starts, self.friction)
+        last_substeps = slice(drives.substeps - 1, None, drives.substeps)
+        first_sample = first_outputs(self.plant, drives, starts)
+        return np.concatenate([first_sample, y[:, last_substeps]], axis=1)
+
+    def shown(
+        self, drives: Drive, starts: State, shows: str
+    ) -> Float[np.ndarray, "runs steps shown"]:
+        """What a chain shows after every step."""
+        plant, (runs, steps) = self.plant, np.shape(drives.time)
+        begun, parts = self._begun(float(np.asarray(drives.step)[0]), starts.z.shape[1], shows), []
+        time, inputs = (
+            np.reshape(drives.time, (-1, 1)),
+            np.reshape(drives.inputs, (runs * steps, -1)),
+        )
+        first = np.concatenate([starts.y.reshape(runs, -1), starts.z.reshape(runs, -1)], axis=1)
+        width = len(plant.outputs) if shows == "outputs" else first.shape[1]
+        following = [np.reshape(drives.following, (len(time), -1))] if plant.has_algebraic else []
+        for at in range(0, len(time), self.chunk):
+            part = slice(at, min(at + self.chunk, len(time)))
+            begins = np.arange(-(-at // steps), -(-part.stop // steps))  # numbers of runs
+            starting = np.zeros((part.stop - at, 1 + first.shape[1]))
+            starting[begins * steps - at, 0], starting[begins * steps - at, 1:] = 1.0, first[begins]
+            columns = time[part], inputs[part], starting, *(column[part] for column in following)
+            (shown,) = begun.outputs(np.concatenate(columns, axis=1), part.stop - at)
+            parts.append(shown[:, :width].copy())  # not the whole vector
+        return np.concatenate(parts).reshape(runs, steps, -1)
+
+    def _begun(self, step: float, internal: int, shows: str) -> Run:
+        """The compiled chain before its first row."""
+        key = step, internal, shows
+        if key not in self._first_rows:
+            code = _code(_Structure(self.plant), internal, self.friction, shows)
+            fixed = numbers((self.plant, np.asarray(step)), float)
+            self._first_rows[key] = code.begin(np.zeros((1, 1)), fixed)
+        return self._first_rows[key].again()
+
+    @functools.cached_property
+    def _first_rows(self) -> dict[tuple, Run]:
+        return {}
 
 
 def _stepped(plant: Plant, drives: Drive, starts: State, friction: tuple[int, ...]) -> State:
@@ -146,34 +198,6 @@ def _stepped(plant: Plant, drives: Drive, starts: State, friction: tuple[int, ..
         runs.append(free_run(plant, theta, driven_by, start, friction))
     y, z = (np.stack(part) for part in zip(*runs, strict=True))
     return State(y, z)
-
-
-def _shown(
-    plant: Plant,
-    drives: Drive,
-    starts: State,
-    friction: tuple[int, ...],
-    shows: str,
-    chunk: int,
-) -> Float[np.ndarray, "runs steps shown"]:
-    """What a chain shows after every step."""
-    code = _code(_Structure(plant), starts.z.shape[1], friction, shows)
-    runs, steps = np.shape(drives.time)
-    time, inputs = np.reshape(drives.time, (-1, 1)), np.reshape(drives.inputs, (runs * steps, -1))
-    first = np.concatenate([starts.y.reshape(runs, -1), starts.z.reshape(runs, -1)], axis=1)
-    width = len(plant.outputs) if shows == "outputs" else first.shape[1]
-    fixed = numbers((plant, np.asarray(drives.step)[:1]), float)
-    begun, parts = code.begin(np.zeros((1, 1)), fixed), []
-    following = [np.reshape(drives.following, (len(time), -1))] if plant.has_algebraic else []
-    for at in range(0, len(time), chunk):
-        part = slice(at, min(at + chunk, len(time)))
-        begins = np.arange(-(-at // steps), -(-part.stop // steps))  # numbers of runs
-        starting = np.zeros((part.stop - at, 1 + first.shape[1]))
-        starting[begins * steps - at, 0], starting[begins * steps - at, 1:] = 1.0, first[begins]
-        columns = time[part], inputs[part], starting, *(column[part] for column in following)
-        (shown,) = begun.outputs(np.concatenate(columns, axis=1), part.stop - at)
-        parts.append(shown[:, :width].copy())  # not the whole vector
-    return np.concatenate(parts).reshape(runs, steps, -1)
 
 
 class _Structure:

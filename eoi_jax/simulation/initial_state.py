@@ -21,7 +21,7 @@ from eoi_jax.data.cleaning import channel_groups
 from eoi_jax.models.augmented import slope_followers
 from eoi_jax.models.plant import Plant, State
 from eoi_jax.models.start_weights import proportional_starts
-from eoi_jax.simulation.chained_runs import outputs_of
+from eoi_jax.simulation.chained_runs import Chain
 from eoi_jax.simulation.gauss_newton import gauss_newton
 from eoi_jax.simulation.integrator import Drive
 
@@ -57,6 +57,21 @@ class Run:
     def internal(self) -> int:
         """Number of internal states."""
         return len(self.plant.initial_internal)
+
+    @cached_property
+    def owned(self) -> tuple[np.ndarray, np.ndarray]:
+        """`owned` of the plant."""
+        return owned(self.plant)
+
+    @cached_property
+    def proportional(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """`proportional_starts` of the plant."""
+        return proportional_starts(self.plant.internal_initial, self.internal)
+
+    @cached_property
+    def chain(self) -> Chain:
+        """Simulates the runs."""
+        return Chain(self.plant, self.friction)
 
 
 def initial_states(
@@ -118,12 +133,7 @@ def window_starts(
     """
     period = float(heads.step[0]) * heads.substeps
     z = run.plant.initial_internal
-    starts = np.stack(
-        [
-            _polynomial_starts(run.plant, outputs, mask, period)
-            for outputs, mask in zip(y, valid, strict=True)
-        ]
-    )
+    starts = _polynomial_starts(run.plant, y, valid, period)
     if past is not None:
         past = np.where(
             np.max(np.abs(past), axis=(1, 2, 3), keepdims=True) < _SETTINGS.past, 0.0, past
@@ -253,8 +263,7 @@ def _descend(
     def linearise(points: list[_Start]) -> list[tuple[np.ndarray, float]]:
         runs, values = _runs_and_values(points)
         errors = np.stack([point.error for point in points])
-        slopes = heads.part(runs).slopes(values, errors, free)
-        return [_step(*pair, free) for pair in zip(errors, slopes, strict=True)]
+        return _steps(errors, heads.part(runs).slopes(values, errors, free), free)
 
     def evaluate(points: list[_Start], steps: list[np.ndarray]) -> list[list[_Start]]:
         trials = _trials(heads, points, steps, np.ones(1))
@@ -291,22 +300,28 @@ def _runs_and_values(points: list[_Start]) -> tuple[Int[np.ndarray, " points"], 
     return np.asarray([point.run for point in points]), np.stack([point.values for point in points])
 
 
-def _step(
-    error: Float[np.ndarray, " rows"],
-    slopes: Float[np.ndarray, "rows free"],
+def _steps(
+    errors: Float[np.ndarray, "runs rows"],
+    slopes: Float[np.ndarray, "runs rows free"],
     free: Bool[np.ndarray, " unknowns"],
-) -> tuple[Float[np.ndarray, " unknowns"], float]:
-    """Least-squares step on scaled columns, and the fall of the squared error that it predicts.
+    rank_tolerance: float = 1e-8,
+) -> list[tuple[Float[np.ndarray, " unknowns"], float]]:
+    """Least-squares step of each run on scaled columns, and the fall of the cost it predicts.
 
     What leaves no trace in y stays where it is, and so does all where slopes are not known.
     """
-    step = np.zeros(len(free))
-    if not np.all(np.isfinite(slopes)):
-        return step, 0.0
-    size = np.linalg.norm(slopes, axis=0)
+    finite = np.all(np.isfinite(slopes), axis=(1, 2), keepdims=True)
+    slopes = np.where(finite, slopes, 0.0)
+    size = np.linalg.norm(slopes, axis=1)
     size = np.where(size > 0, size, 1.0)
-    step[free] = np.linalg.lstsq(slopes / size, error, rcond=1e-8)[0] / size
-    return step, float(step[free] @ (slopes.T @ error))
+    left, values, right = np.linalg.svd(slopes / size[:, None], full_matrices=False)
+    traced = values > rank_tolerance * values[:, :1]
+    inverse = np.where(traced, 1.0 / np.where(traced, values, 1.0), 0.0)
+    scaled = inverse[..., None] * (np.swapaxes(left, 1, 2) @ errors[..., None])
+    steps = np.zeros((len(errors), len(free)))
+    steps[:, free] = (np.swapaxes(right, 1, 2) @ scaled)[..., 0] / size
+    falls = np.einsum("rf,rnf,rn->r", steps[:, free], slopes, errors)
+    return list(zip(steps, falls.tolist(), strict=True))
 
 
 @dataclass(frozen=True)
@@ -395,23 +410,29 @@ class _Heads:
         starts, driving = states_of(run, lanes), self._driving(owner)
         if self.past is not None:
             driving = with_past(driving, self.past[owner], lanes)
-        outputs = outputs_of(run.plant, driving, starts, run.friction)
+        outputs = run.chain.outputs(driving, starts)
         return outputs.reshape(*values.shape[:2], *outputs.shape[1:])
 
 
 def _polynomial_starts(
-    plant: Plant, y: Samples, valid: Bool[np.ndarray, "time ny"], period: float
-) -> Float[np.ndarray, "trials owned"]:
+    plant: Plant,
+    y: Float[np.ndarray, "runs time ny"],
+    valid: Bool[np.ndarray, "runs time ny"],
+    period: float,
+) -> Float[np.ndarray, "runs trials owned"]:
     """Outputs and derivatives at the first sample, from polynomials over 1, ½, ¼, … of the head.
 
     A long stretch averages noise, a short one follows fast motion: the free run decides later.
     The last one is repeated where the head is too short for more.
     """
-    degree = plant.relative_degree + 1
-    values = np.zeros((_SETTINGS.trials, degree + 1, y.shape[1]))
-    for columns, mask in channel_groups(valid):
-        values[..., columns] = _polynomials(y[:, columns], mask, degree, period)
-    return values[:, *owned(plant)]
+    degree, (runs, time, ny) = plant.relative_degree + 1, y.shape
+    columns, masks = (np.moveaxis(part, 0, 1).reshape(time, -1) for part in (y, valid))
+    values = np.zeros((_SETTINGS.trials, degree + 1, runs * ny))
+    for group, mask in channel_groups(masks):  # of all runs at once
+        values[..., group] = _polynomials(columns[:, group], mask, degree, period)
+    rows, outputs = owned(plant)
+    # Picked by two lists, the unknowns come first, then the trials, then the runs.
+    return values.reshape(*values.shape[:2], runs, ny)[:, rows, :, outputs].T
 
 
 def _polynomials(
@@ -462,12 +483,10 @@ def known_starts(
 
 def states_of(run: Run, values: Starts) -> State:
     """States of which `values` are the unknowns: outputs and derivatives, then z."""
-    plant = run.plant
-    rows, columns = owned(plant)
-    y = np.zeros((len(values), plant.rows, len(plant.outputs)))
+    (rows, columns), (places, leaders, weights) = run.owned, run.proportional
+    y = np.zeros((len(values), run.plant.rows, len(run.plant.outputs)))
     y[:, rows, columns] = values[:, : len(rows)]
     z = np.array(values[:, len(rows) : len(rows) + run.internal])
-    places, leaders, weights = proportional_starts(plant.internal_initial, z.shape[1])
     z[:, places] = weights * z[:, leaders]
     return State(y, z)
 
