@@ -52,8 +52,8 @@ class State:
     Several states stand side by side on leading axes.
     """
 
-    y: Float[Any, "*states r ny"]
-    z: Float[Any, "*states nz"]
+    y: Any
+    z: Any
 
 
 Dynamics = Callable[[Any, State, Any, Any], Any]

@@ -133,7 +133,12 @@ def window_starts(
     """
     period = float(heads.step[0]) * heads.substeps
     z = run.plant.initial_internal
-    starts = _polynomial_starts(run.plant, y, valid, period)
+    starts = np.stack(
+        [
+            _polynomial_starts(run.plant, outputs, mask, period)
+            for outputs, mask in zip(y, valid, strict=True)
+        ]
+    )
     if past is not None:
         past = np.where(
             np.max(np.abs(past), axis=(1, 2, 3), keepdims=True) < _SETTINGS.past, 0.0, past
@@ -263,7 +268,8 @@ def _descend(
     def linearise(points: list[_Start]) -> list[tuple[np.ndarray, float]]:
         runs, values = _runs_and_values(points)
         errors = np.stack([point.error for point in points])
-        return _steps(errors, heads.part(runs).slopes(values, errors, free), free)
+        slopes = heads.part(runs).slopes(values, errors, free)
+        return [_step(*pair, free) for pair in zip(errors, slopes, strict=True)]
 
     def evaluate(points: list[_Start], steps: list[np.ndarray]) -> list[list[_Start]]:
         trials = _trials(heads, points, steps, np.ones(1))
@@ -300,28 +306,22 @@ def _runs_and_values(points: list[_Start]) -> tuple[Int[np.ndarray, " points"], 
     return np.asarray([point.run for point in points]), np.stack([point.values for point in points])
 
 
-def _steps(
-    errors: Float[np.ndarray, "runs rows"],
-    slopes: Float[np.ndarray, "runs rows free"],
+def _step(
+    error: Float[np.ndarray, " rows"],
+    slopes: Float[np.ndarray, "rows free"],
     free: Bool[np.ndarray, " unknowns"],
-    rank_tolerance: float = 1e-8,
-) -> list[tuple[Float[np.ndarray, " unknowns"], float]]:
-    """Least-squares step of each run on scaled columns, and the fall of the cost it predicts.
+) -> tuple[Float[np.ndarray, " unknowns"], float]:
+    """Least-squares step on scaled columns, and the fall of the squared error that it predicts.
 
     What leaves no trace in y stays where it is, and so does all where slopes are not known.
     """
-    finite = np.all(np.isfinite(slopes), axis=(1, 2), keepdims=True)
-    slopes = np.where(finite, slopes, 0.0)
-    size = np.linalg.norm(slopes, axis=1)
+    step = np.zeros(len(free))
+    if not np.all(np.isfinite(slopes)):
+        return step, 0.0
+    size = np.linalg.norm(slopes, axis=0)
     size = np.where(size > 0, size, 1.0)
-    left, values, right = np.linalg.svd(slopes / size[:, None], full_matrices=False)
-    traced = values > rank_tolerance * values[:, :1]
-    inverse = np.where(traced, 1.0 / np.where(traced, values, 1.0), 0.0)
-    scaled = inverse[..., None] * (np.swapaxes(left, 1, 2) @ errors[..., None])
-    steps = np.zeros((len(errors), len(free)))
-    steps[:, free] = (np.swapaxes(right, 1, 2) @ scaled)[..., 0] / size
-    falls = np.einsum("rf,rnf,rn->r", steps[:, free], slopes, errors)
-    return list(zip(steps, falls.tolist(), strict=True))
+    step[free] = np.linalg.lstsq(slopes / size, error, rcond=1e-8)[0] / size
+    return step, float(step[free] @ (slopes.T @ error))
 
 
 @dataclass(frozen=True)
@@ -415,24 +415,18 @@ class _Heads:
 
 
 def _polynomial_starts(
-    plant: Plant,
-    y: Float[np.ndarray, "runs time ny"],
-    valid: Bool[np.ndarray, "runs time ny"],
-    period: float,
-) -> Float[np.ndarray, "runs trials owned"]:
+    plant: Plant, y: Samples, valid: Bool[np.ndarray, "time ny"], period: float
+) -> Float[np.ndarray, "trials owned"]:
     """Outputs and derivatives at the first sample, from polynomials over 1, ½, ¼, … of the head.
 
     A long stretch averages noise, a short one follows fast motion: the free run decides later.
     The last one is repeated where the head is too short for more.
     """
-    degree, (runs, time, ny) = plant.relative_degree + 1, y.shape
-    columns, masks = (np.moveaxis(part, 0, 1).reshape(time, -1) for part in (y, valid))
-    values = np.zeros((_SETTINGS.trials, degree + 1, runs * ny))
-    for group, mask in channel_groups(masks):  # of all runs at once
-        values[..., group] = _polynomials(columns[:, group], mask, degree, period)
-    rows, outputs = owned(plant)
-    # Picked by two lists, the unknowns come first, then the trials, then the runs.
-    return values.reshape(*values.shape[:2], runs, ny)[:, rows, :, outputs].T
+    degree = plant.relative_degree + 1
+    values = np.zeros((_SETTINGS.trials, degree + 1, y.shape[1]))
+    for columns, mask in channel_groups(valid):
+        values[..., columns] = _polynomials(y[:, columns], mask, degree, period)
+    return values[:, *owned(plant)]
 
 
 def _polynomials(

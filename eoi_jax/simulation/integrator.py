@@ -58,7 +58,7 @@ class Drive:
     """What drives a run, on the grid of its steps; made by `simulate.drive`.
 
     Attributes:
-        time: start of each step [s].
+        time: start of each step [s], shape (steps,).
         step: length of a step [s].
         inputs: u at the start, the middle and the end of each step, shape (steps, 3, nu).
         substeps: steps per sample.
@@ -67,11 +67,11 @@ class Drive:
     Several runs of one length stand side by side on leading axes.
     """
 
-    time: Float[Array | np.ndarray, "*runs steps"]
-    step: Float[Array | np.ndarray, "*runs"]
-    inputs: Float[Array | np.ndarray, "*runs steps 3 nu"]
+    time: Any
+    step: Any
+    inputs: Any
     substeps: int = field(metadata={"static": True})
-    last: Float[Array | np.ndarray, "*runs nu"]
+    last: Any
 
     @property
     def following(self) -> Any:
