@@ -91,7 +91,7 @@ def _substitutes(
     """Laws that have most in common with a term: how much, and their gains by least squares."""
     ranked = []
     for law in laws:
-        force = runs.forces(law, np.zeros(0))[0]
+        force = runs.forces(law, np.zeros((1, 0)))[0]
         gain = float(np.sum(term * force) / max(np.sum(force**2), np.finfo(float).tiny))
         likeness = gain * np.sum(term * force) / max(np.sum(term**2), np.finfo(float).tiny)
         lower, upper = law.effect.parameters[0].lower, law.effect.parameters[0].upper

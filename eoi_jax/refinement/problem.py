@@ -7,7 +7,7 @@ all runs gives the normal equations of all unknowns. The least squares over them
 """
 
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import Any
 
 import equinox as eqx
@@ -32,11 +32,18 @@ from eoi_jax.simulation.simulate import drive
 CONVERGED = 1e-6  # share of the cost below which a step is not worth taking
 
 
-class Unknowns(eqx.Module):
-    """Free parameters, and the initial state of each run (outputs and derivatives, then z)."""
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True, eq=False)  # not a module: made in each step of a fit
+class Unknowns:
+    """Free parameters, and the initial state of each run (outputs and derivatives, then z).
 
-    theta: Float[Host, "*lanes free"]
-    starts: Float[Host, "*lanes runs unknowns"]
+    Attributes:
+        theta: shape (free,), or of several lanes (lanes, free).
+        starts: shape (runs, unknowns), or (lanes, runs, unknowns).
+    """
+
+    theta: Any
+    starts: Any
 
 
 class Problem(eqx.Module):

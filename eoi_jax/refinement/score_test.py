@@ -175,7 +175,7 @@ class LinearisedRuns:
         if isinstance(placed.effect, AbstractCascade):
             columns = self._sensed(placed, grid)
         else:
-            forces = [force for shape in grid for force in self.forces(placed, shape)]
+            forces = self.forces(placed, grid)
             if not forces:
                 return []
             columns = self._columns(forces)
@@ -260,27 +260,31 @@ class LinearisedRuns:
             values |= attempt.named(own_gains)
         return values
 
-    def forces(self, placed: Placed, shape: np.ndarray) -> list[np.ndarray]:
-        """What the effect adds to y^(r) along the runs for each gain, (runs, samples, 3, ny)."""
+    def forces(self, placed: Placed, grid: np.ndarray) -> list[np.ndarray]:
+        """What the effect adds to y^(r) along the runs, (runs, samples, 3, ny).
+
+        Of each shape of a grid, for each gain.
+        """
+        if not isinstance(placed.effect, AbstractTerm):
+            return [self._changed(placed, shape) for shape in grid]
         t, u, y, _ = self.stages
         effect = placed.effect
-        if isinstance(effect, AbstractTerm):
-            has_rate = placed.row < y.shape[-2]
-            rate = placed.coordinate(y[..., placed.row, :]) if has_rate else 0.0 * t
-            level = placed.coordinate(y[..., 0, :])
-            channel = u[..., 0] if u.shape[-1] else 0.0 * t
+        has_rate = placed.row < y.shape[-2]
+        rate = placed.coordinate(y[..., placed.row, :]) if has_rate else 0.0 * t
+        level = placed.coordinate(y[..., 0, :])
+        channel = u[..., 0] if u.shape[-1] else 0.0 * t
+        state, inputs = jnp.moveaxis(y, (-2, -1), (0, 1)), jnp.moveaxis(u, -1, 0)
+        signals = [jnp.asarray(term) for term in (t, level, rate, channel)]
+        pushes, units, forces = self._pushes(placed), np.eye(len(effect.gains)), []
+        for shape in grid:
             z = None
             if effect.states:
                 period = float(np.mean(t[:, 0, 2] - t[:, 0, 0]))
                 z = jnp.asarray(effect.states_along(level, period, shape))
-            state, inputs = jnp.moveaxis(y, (-2, -1), (0, 1)), jnp.moveaxis(u, -1, 0)
-            signals = (jnp.asarray(term) for term in (t, level, rate, channel))
             at = At(*signals, z=z, state=state, inputs=inputs)
-            units = np.eye(len(effect.gains))
             terms = (effect.term(at, list(gain), list(shape)) for gain in units)
-            pushes = self._pushes(placed)
-            return [np.broadcast_to(term, t.shape)[..., None] * pushes for term in terms]
-        return [self._changed(placed, shape)]
+            forces += [np.broadcast_to(term, t.shape)[..., None] * pushes for term in terms]
+        return forces
 
     def _pushes(self, placed: Placed) -> np.ndarray:
         """What one unit of an effect adds to y^(r) of each output, (runs, samples, 3, ny)."""

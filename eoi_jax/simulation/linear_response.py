@@ -115,62 +115,46 @@ def response_of(
     shape = np.shape(time)
     parts = (time, inputs, y, z, np.broadcast_to(np.reshape(steps, (-1, 1)), shape))
     rows = [np.reshape(array, (np.size(time), *np.shape(array)[2:])) for array in parts]
-    pushed, friction = _pushed(plant), frictional(plant)
-    if any(friction):
-        slopes = _slopes(pushed, jnp.asarray(plant.theta), friction, *rows)
-    else:
-        slopes = _smooth_slopes(pushed, *rows)
+    slopes = _slopes(_pushed(plant), frictional(plant), *rows)
     free, forced = (array.reshape(*shape, *array.shape[1:]) for array in slopes)
     return Response(*_by_sample(free, forced, substeps))
 
 
-def _smooth_slopes(
+def _slopes(
     plant: Plant,
+    friction: tuple[int, ...],
     time: np.ndarray,
     inputs: np.ndarray,
     y: np.ndarray,
     z: np.ndarray,
     steps: np.ndarray,
 ) -> tuple[np.ndarray, np.ndarray]:
-    """A and B of every step, where none has a stop in it."""
+    """A and B of every step."""
     ny = len(plant.outputs)
     x = np.concatenate([y.reshape(len(y), -1), z, np.zeros((len(y), 3 * ny))], axis=1)
     axes = ("fixed", "rows", "rows")
-    slopes = slopes_along(_smooth_flow, axes, 2, plant, (time, inputs, steps), x)
+    slopes = slopes_along(_Flow(friction), axes, 2, plant, (time, inputs, steps), x)
     free, forced = np.split(slopes, [-3 * ny], axis=2)
     return free, forced.reshape(*free.shape[:2], 3, ny)
 
 
-def _smooth_flow(plant: Plant, row: tuple[Any, ...], moved: Array) -> Array:
-    """The state after a step, from that at its start and the forces on it."""
-    (t, u, h), ny = row, len(plant.outputs)
-    size = plant.rows * ny
-    start = State(jnp.reshape(moved[:size], (plant.rows, ny)), moved[size : -3 * ny])
-    inputs = jnp.concatenate([u, jnp.reshape(moved[-3 * ny :], (3, ny))], axis=1)
-    end = advanced(plant, jnp.asarray(plant.theta), t, h, inputs, start, (0,) * ny)
-    return jnp.concatenate([end.y.ravel(), end.z])
+@dataclass(frozen=True)
+class _Flow:
+    """The state after a step, from that at its start and the forces on it.
 
+    Attributes:
+        friction: which outputs stick, see `integrator.frictional`.
+    """
 
-@jit
-def _slopes(
-    plant: Plant, theta: Array, friction: tuple[int, ...], *rows: Any
-) -> tuple[Array, Array]:
-    """A and B of every step of a plant that sticks."""
-    ny = len(plant.outputs)
+    friction: tuple[int, ...]
 
-    def slopes_at(row: tuple) -> tuple[Array, Array]:
-        t, u, y, z, h = row
-
-        def flow(x: Array, w: Array) -> Array:
-            inputs = jnp.concatenate([u, w], axis=1)
-            start = State(x[: y.size].reshape(y.shape), x[y.size :])
-            end = advanced(plant, theta, t, h, inputs, start, friction)
-            return jnp.concatenate([end.y.ravel(), end.z])
-
-        return jax.jacfwd(flow, (0, 1))(jnp.concatenate([y.ravel(), z]), jnp.zeros((3, ny)))
-
-    # One after the other: then only the steps with a stop pay for it.
-    return jax.lax.map(slopes_at, tuple(jnp.asarray(part) for part in rows))
+    def __call__(self, plant: Plant, row: tuple[Any, ...], moved: Array) -> Array:
+        (t, u, h), ny = row, len(plant.outputs)
+        size = plant.rows * ny
+        start = State(jnp.reshape(moved[:size], (plant.rows, ny)), moved[size : -3 * ny])
+        inputs = jnp.concatenate([u, jnp.reshape(moved[-3 * ny :], (3, ny))], axis=1)
+        end = advanced(plant, jnp.asarray(plant.theta), t, h, inputs, start, self.friction)
+        return jnp.concatenate([end.y.ravel(), end.z])
 
 
 @jit

@@ -14,6 +14,7 @@ $w = 1$ up to $|r| = \kappa$, $\kappa/|r|$ beyond.
 """
 
 from collections.abc import Callable
+from dataclasses import dataclass
 from functools import partial
 from typing import Any
 
@@ -32,7 +33,9 @@ from eoi_jax.simulation.integrator import advanced, output_of
 Host = Array | np.ndarray
 
 
-class RunLane(eqx.Module):
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True, eq=False)  # not a module: made in each step of a fit
+class RunLane:
     """What differs between lanes; every array may have a leading axis (lanes,).
 
     Attributes:
@@ -45,11 +48,11 @@ class RunLane(eqx.Module):
         threshold: κ of Huber's loss; infinite for squares.
     """
 
-    theta: Float[Host, "*lanes np"]
-    start: Float[Host, "*lanes own"]
-    declared: Float[Host, "*lanes"]
-    scale: Float[Host, "*lanes ny"]
-    threshold: Float[Host, "*lanes"]
+    theta: Any
+    start: Any
+    declared: Any
+    scale: Any
+    threshold: Any
 
 
 class RunRow(eqx.Module):

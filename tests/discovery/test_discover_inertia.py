@@ -226,7 +226,7 @@ def test_a_small_force_moves_both_outputs_of_a_free_run(effect, through, small):
     moved = eoi.simulate(changed, time, force, substeps=2, hold="zero").outputs
     along = LinearisedRuns.of(refined, refined.records, spans_of(refined.records, None), 2)
     shape = np.zeros(0) if effect.gains else np.array([small])
-    (own,) = along.forces(one, shape)
+    (own,) = along.forces(one, np.atleast_2d(shape))
     slopes = np.sum([along.response.to(own[..., k, None], k) for k in range(2)], axis=0)[0, ..., 0]
     expected = (moved - straight.outputs) / (small if effect.gains else 1.0)
     assert np.all(
