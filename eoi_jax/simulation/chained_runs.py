@@ -118,7 +118,8 @@ def states_along(plant: Plant, drives: Drive, starts: State, friction: tuple[int
     """States of several runs before each step and after the last; arguments as of `outputs_of`."""
     runs, (rows, ny) = len(starts.y), starts.y.shape[1:]
     try:
-        moved = Chain(plant, friction).shown(drives, starts, "states")
+        width = rows * ny + starts.z.shape[1]
+        moved = Chain(plant, friction).shown(drives, starts, "states", width)
     except Untranslatable:
         return _stepped(plant, drives, starts, friction)
     y, z = np.split(moved, [rows * ny], axis=2)
@@ -142,8 +143,9 @@ class Chain:
 
     def outputs(self, drives: Drive, starts: State) -> Float[np.ndarray, "runs time ny"]:
         """`outputs_of` the plant."""
+        shows = "outputs" if self.plant.has_algebraic else "states"  # whose first ones are y
         try:
-            y = self.shown(drives, starts, "outputs")
+            y = self.shown(drives, starts, shows, len(self.plant.outputs))
         except Untranslatable:
             return _scanned(self.plant, drives, starts, self.friction)
         last_substeps = slice(drives.substeps - 1, None, drives.substeps)
@@ -151,9 +153,9 @@ class Chain:
         return np.concatenate([first_sample, y[:, last_substeps]], axis=1)
 
     def shown(
-        self, drives: Drive, starts: State, shows: str
+        self, drives: Drive, starts: State, shows: str, width: int
     ) -> Float[np.ndarray, "runs steps shown"]:
-        """What a chain shows after every step."""
+        """What a chain shows after every step, the first `width` numbers."""
         plant, (runs, steps) = self.plant, np.shape(drives.time)
         begun, parts = self._begun(float(np.asarray(drives.step)[0]), starts.z.shape[1], shows), []
         time, inputs = (
@@ -161,7 +163,6 @@ class Chain:
             np.reshape(drives.inputs, (runs * steps, -1)),
         )
         first = np.concatenate([starts.y.reshape(runs, -1), starts.z.reshape(runs, -1)], axis=1)
-        width = len(plant.outputs) if shows == "outputs" else first.shape[1]
         following = [np.reshape(drives.following, (len(time), -1))] if plant.has_algebraic else []
         for at in range(0, len(time), self.chunk):
             part = slice(at, min(at + self.chunk, len(time)))
