@@ -8,7 +8,7 @@ import pytest
 
 import eoi_jax as eoi
 from eoi_jax import effects
-from eoi_jax.discovery import task
+from eoi_jax.discovery import regression, task
 from eoi_jax.discovery.candidates import CandidateColumns
 from eoi_jax.discovery.cosine_modes import ModalRecord, modal_record
 from eoi_jax.discovery.noise_spectrum import expected_power
@@ -79,3 +79,25 @@ def test_an_output_at_rest_has_some_power_all_the_same():
 def test_models_that_xla_waits_for_are_evaluated_by_one_thread(monkeypatch, waiting, threads):
     monkeypatch.setattr(task, "waits", lambda plant: waiting)
     assert task.Task.threads.func(SimpleNamespace(plant=None)) == threads
+
+
+def test_settling_evaluates_no_point_twice(monkeypatch):
+    """Its errors and its slopes come from one evaluation of the model."""
+    speed = np.sin(TIME) - 0.5 * np.cos(0.3 * TIME)
+    plant = eoi.Plant(
+        lambda t, x, u, p: p.gain * u - p.loss * x.y[0] + x.z[0], {"gain": 2.0, "loss": 1.0},
+        inputs=("force",), outputs=("speed",),
+        internal=lambda t, x, u, p: -p.loss * x.z[0] + u, internal_initial=[0.0],
+    )  # fmt: skip
+    stretches = [modal_record(plant, eoi.Record(TIME, np.cos(TIME), speed), 20.0)]
+    points, rows = [], regression.model_rows
+
+    def counted(model, stretches):
+        points.append(tuple(np.asarray(model.theta).tolist()))
+        return rows(model, stretches)
+
+    monkeypatch.setattr(regression, "model_rows", counted)
+    power = np.ones(rows(plant, stretches)[0].shape[1])
+    regression.settled(plant, stretches, power, np.array([1.0, 0.5]))
+    assert len(points) > 4
+    assert len(points) == len(set(points))

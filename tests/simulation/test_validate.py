@@ -17,8 +17,11 @@ from eoi_jax.models.library import (
     pendulum,
     three_mass_spring_damper,
 )
+from eoi_jax.models.plant import State
 from eoi_jax.simulation import planned_runs
+from eoi_jax.simulation.chained_runs import Chain
 from eoi_jax.simulation.initial_state import _descend, _Heads
+from eoi_jax.simulation.integrator import Drive
 from eoi_jax.simulation.simulate import simulate
 from eoi_jax.simulation.validate import _record, validate
 
@@ -305,6 +308,15 @@ def test_a_step_that_does_not_help_is_not_taken():
     cost, values = _descend(heads, start, np.array([True]))
     np.testing.assert_array_equal(values, start[:, 0])
     np.testing.assert_array_equal(cost, heads.errors(start)[0][:, 0])
+
+
+def test_a_chain_that_has_run_begins_anew():
+    plant = mass_spring_damper(true=True)
+    drive = Drive(TIME[None, :-1], np.array([5e-3]), np.ones((1, 1000, 3, 1)), 1, np.ones((1, 1)))
+    start, chain = State(np.array([[[0.01], [-0.05]]]), np.zeros((1, 0))), Chain(plant, (0,))
+    first, second = chain.outputs(drive, start), chain.outputs(drive, start)
+    np.testing.assert_array_equal(first, second)
+    np.testing.assert_array_equal(first, Chain(plant, (0,)).outputs(drive, start))
 
 
 def test_starts_of_runs_that_diverge_in_any_steps_are_estimated_once(monkeypatch):

@@ -5,6 +5,7 @@ import pytest
 from scipy.linalg import expm
 
 import eoi_jax as eoi
+from eoi_jax.simulation import planned_runs
 from eoi_jax.simulation.validate import judged_runs
 
 GAIN, AMBIENT, TAU, EXCHANGE, RATE = 0.44, 20.0, 50.0, 0.01, 0.011
@@ -93,3 +94,32 @@ def test_where_a_run_along_the_record_diverges_windows_start_as_the_model_says()
     record = eoi.Record.from_period(0.01, np.ones(2000), swing, hold="zero")
     assert not np.isfinite(judged_runs(unstable, record).rmse[0])
     assert np.isfinite(judged_runs(unstable, record, window=0.6).rmse[0])
+
+
+PAIR = eoi.Plant(
+    lambda t, x, u, p: np.array([[-4.0, 1.0], [1.0, -9.0]]) @ x.y[0] + p.gain * u,
+    {"gain": 1.0}, relative_degree=2, inputs=("force",), outputs=("first", "second"),
+)  # fmt: skip
+
+
+def swinging(sizes, seed):
+    """Two coupled masses that start with displacements of these sizes, with noise on both."""
+    time = 0.02 * np.arange(500)
+    record = eoi.simulate(PAIR, time, np.sin(3.0 * time)[:, None], sizes, hold="linear")
+    noise = 0.05 * np.random.default_rng(seed).standard_normal(record.outputs.shape)
+    return record.with_outputs(record.outputs + noise, record.name)
+
+
+@pytest.mark.parametrize("plant", [PLATE, PAIR])
+def test_records_side_by_side_start_as_each_by_itself(plant, monkeypatch):
+    """To the last bit: also where the outputs of one are far larger than those of another."""
+    records = [heated(600, 0), heated(400, 1)]
+    if plant is PAIR:
+        records = [swinging([[5.0, 0.0], [0.0, 0.0]], 0), swinging([[0.0, 0.1], [0.0, 0.0]], 1)]
+    window, calls, fit = 120 * records[0].sample_period, [], planned_runs.window_starts
+    apart = [judged_runs(plant, record, 30, window).predictions[0] for record in records]
+    monkeypatch.setattr(planned_runs, "window_starts", lambda *args: calls.append(1) or fit(*args))
+    together = judged_runs(plant, records, 30, window).predictions
+    for prediction, alone in zip(together, apart, strict=True):
+        np.testing.assert_array_equal(prediction.outputs, alone.outputs)
+    assert len(calls) == 1
