@@ -251,14 +251,9 @@ class Plant(eqx.Module):
         if isinstance(values, Mapping):
             theta = replaced(self.names, self.theta, values)
         else:
-            theta = values
-            shape = np.shape(theta)
-            check(
-                shape == (len(self.names),),
-                "parameters",
-                f"must be {counted(len(self.names), 'value')} ({', '.join(self.names)})",
-                f"shape {shape}",
-            )
+            theta, shape = values, np.shape(values)
+            rule = f"must be {counted(len(self.names), 'value')} ({', '.join(self.names)})"
+            check(shape == (len(self.names),), "parameters", rule, f"shape {shape}")
         return eqx.tree_at(lambda plant: plant.theta, self, theta)
 
     def declared_anew(
