@@ -119,14 +119,15 @@ def _fitted(run: Run, courses: Sequence[Course]) -> list[Starts]:
 
 def _joined(parts: Sequence[Heads]) -> Heads:
     """The first samples of the runs of several records, side by side."""
-    drives = [drive for drive, _, _, _ in parts]
+    drives, outputs, masks, pasts = zip(*parts, strict=True)
     time, step, inputs, last = (
         np.concatenate(arrays)
         for arrays in zip(*((d.time, d.step, d.inputs, d.last) for d in drives), strict=True)
     )
-    y, valid = (np.concatenate([part[i] for part in parts]) for i in (1, 2))
-    past = None if parts[0][3] is None else np.concatenate([part[3] for part in parts])
-    return Drive(time, step, inputs, drives[0].substeps, last), y, valid, past
+    driving = Drive(time, step, inputs, drives[0].substeps, last)
+    past = [part for part in pasts if part is not None]
+    joined_past = np.concatenate(past) if past else None
+    return driving, np.concatenate(outputs), np.concatenate(masks), joined_past
 
 
 def _outputs(run: Run, course: Course, values: Starts) -> Float[np.ndarray, "runs time ny"]:
