@@ -6,7 +6,7 @@ import itertools
 import os
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any
 
 import jax
@@ -165,12 +165,6 @@ class Run:
     memory: np.ndarray
     spoilt: Bool[np.ndarray, " lanes"]
     padding: Int[np.ndarray, " places"]
-
-    def again(self) -> "Run":
-        """The same before its first row; this one then stays there."""
-        memory = _aligned(self.memory.shape, self.memory.dtype)
-        memory[...] = self.memory
-        return replace(self, scalars=self.scalars.copy(), memory=memory)
 
     def advance(
         self,

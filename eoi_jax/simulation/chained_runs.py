@@ -175,13 +175,13 @@ class Chain:
         return np.concatenate(parts).reshape(runs, steps, -1)
 
     def _begun(self, step: float, internal: int, shows: str) -> Run:
-        """The compiled chain before its first row."""
+        """The compiled chain; a run begins in the first row, so that nothing is left of others."""
         key = step, internal, shows
         if key not in self._first_rows:
             code = _code(_Structure(self.plant), internal, self.friction, shows)
             fixed = numbers((self.plant, np.asarray(step)), float)
             self._first_rows[key] = code.begin(np.zeros((1, 1)), fixed)
-        return self._first_rows[key].again()
+        return self._first_rows[key]
 
     @functools.cached_property
     def _first_rows(self) -> dict[tuple, Run]:
