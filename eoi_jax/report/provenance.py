@@ -1,6 +1,7 @@
 """What names the data and the versions behind a result, and results as values of JSON."""
 
 import platform
+from dataclasses import is_dataclass
 from importlib.metadata import version as version_of
 from typing import Any
 
@@ -40,7 +41,7 @@ def json_values(value: Any) -> Any:
     """A value in the types of JSON; NaN and infinity become null.
 
     Args:
-        value: number, text, array, module, or dicts and lists of these.
+        value: number, text, array, module, data class, or dicts and lists of these.
     """
     if isinstance(value, dict):
         return {str(key): json_values(item) for key, item in value.items()}
@@ -48,6 +49,8 @@ def json_values(value: Any) -> Any:
         return [json_values(item) for item in value]
     if isinstance(value, eqx.Module):
         return {"kind": type(value).__name__, **json_values(vars(value))}
+    if is_dataclass(value):
+        return json_values(vars(value))
     if isinstance(value, np.ndarray | np.generic | jax.Array):
         return json_values(np.asarray(value).tolist())
     if isinstance(value, float) and not np.isfinite(value):

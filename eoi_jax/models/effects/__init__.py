@@ -27,6 +27,7 @@ from eoi_jax.models.effects.friction import StribeckFriction as StribeckFriction
 from eoi_jax.models.effects.friction import ViscousFriction as ViscousFriction
 from eoi_jax.models.effects.inputs import ActuatorLag as ActuatorLag
 from eoi_jax.models.effects.inputs import ErrorSaturation as ErrorSaturation
+from eoi_jax.models.effects.inputs import InputAsymmetry as InputAsymmetry
 from eoi_jax.models.effects.inputs import InputDeadZone as InputDeadZone
 from eoi_jax.models.effects.inputs import InputDelay as InputDelay
 from eoi_jax.models.effects.inputs import InputModulation as InputModulation
@@ -59,6 +60,7 @@ from eoi_jax.models.effects.stiffness import CubicStiffness as CubicStiffness
 from eoi_jax.models.effects.stiffness import EndStop as EndStop
 from eoi_jax.models.effects.stiffness import FreePlay as FreePlay
 from eoi_jax.models.effects.stiffness import Gravity as Gravity
+from eoi_jax.models.effects.stiffness import GravityTilt as GravityTilt
 from eoi_jax.models.effects.stiffness import LinearStiffness as LinearStiffness
 from eoi_jax.models.effects.stiffness import PositionRipple as PositionRipple
 from eoi_jax.models.effects.stiffness import QuadraticStiffness as QuadraticStiffness

@@ -18,6 +18,7 @@ from eoi_jax.models.effects.effect import (
     Parameter,
     Seen,
     quantiles,
+    turns,
 )
 from eoi_jax.models.plant import Plant
 
@@ -147,6 +148,28 @@ class InputQuadratic(AbstractInputEffect):
 
     def changed(self, at: At, shape: Any) -> Any:
         return at.u + shape[0] * at.u * (jnp.abs(at.u) if self.odd else at.u)
+
+
+class InputAsymmetry(AbstractInputEffect):
+    """u + q |u|: an actuator whose gain differs between the two directions.
+
+    A cylinder whose two sides differ in area, a Peltier element that heats better than it cools, a
+    bridge with unlike halves. The gains of the two directions are as 1 + q to 1 - q.
+    """
+
+    name = "input_asymmetry"
+    sentence = "an actuator whose gain differs between the two directions"
+    rarity = 1.0  # for an input of nearly one size it is an offset, which is more common
+    shapes = (Parameter("", "1"),)
+    depends_on = "u"
+
+    def grid(self, seen: Seen) -> Grid:
+        size = np.array([0.003, 0.012, 0.05, 0.15, 0.4, 1.0])
+        # An input of one sign has one gain.
+        return np.concatenate([-size[::-1], size])[:, None] if turns(seen.u) else np.zeros((0, 1))
+
+    def changed(self, at: At, shape: Any) -> Any:
+        return at.u + shape[0] * jnp.abs(at.u)
 
 
 class InputYield(AbstractInputEffect):

@@ -15,6 +15,7 @@ from eoi_jax.models.effects.friction import (
 from eoi_jax.models.effects.inputs import (
     ActuatorLag,
     ErrorSaturation,
+    InputAsymmetry,
     InputDeadZone,
     InputDelay,
     InputModulation,
@@ -39,6 +40,7 @@ from eoi_jax.models.effects.stiffness import (
     EndStop,
     FreePlay,
     Gravity,
+    GravityTilt,
     LinearStiffness,
     PositionRipple,
     QuadraticStiffness,
@@ -48,8 +50,8 @@ from eoi_jax.models.effects.stiffness import (
 def standard() -> tuple[AbstractEffect, ...]:
     """Every canonical effect; `discover` tries those that fit the plant.
 
-    Four names have several forms: `end_stop` (above, below), `gravity` (of an angle in radians, in
-    degrees), `input_quadratic` (odd, even) and `overflow` (of an output; of an internal state,
+    Five names have several forms: `end_stop` (above, below), `gravity` and `gravity_tilt` (of an
+    angle in radians, in degrees), `input_quadratic` (odd, even) and `overflow` (of an output; of an internal state,
     caught in part or not at all).
 
     Returns:
@@ -67,6 +69,8 @@ def standard() -> tuple[AbstractEffect, ...]:
         CubicStiffness(),
         Gravity(),
         Gravity(degrees=True),
+        GravityTilt(),
+        GravityTilt(degrees=True),
         PositionRipple(),
         EndStop(+1),
         EndStop(-1),
@@ -79,6 +83,7 @@ def standard() -> tuple[AbstractEffect, ...]:
         InputDelay(),
         InputQuadratic(odd=True),
         InputQuadratic(odd=False),
+        InputAsymmetry(),
         ActuatorLag(),
         Hysteresis(),
         Leak(),

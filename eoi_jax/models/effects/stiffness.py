@@ -104,6 +104,22 @@ class Gravity(AbstractTerm):
         return y * (np.pi / 180.0) if self.degrees else y
 
 
+@dataclass(frozen=True)
+class GravityTilt(Gravity):
+    """c cos(y): gravity that pulls at the zero of the angle, too.
+
+    Of a base that is tilted, or an angle sensor whose zero is not the vertical by δ: in place of
+    g sin(y) gravity is g sin(y - δ), and c = g sin(δ).
+    """
+
+    name = "gravity_tilt"
+    sentence = "gravity at the zero of the angle (a tilted base, or a sensor whose zero is off)"
+    rarity = 2.0  # at small angles it is a constant offset
+
+    def term(self, at: At, gain: Any, shape: Any) -> Any:
+        return gain[0] * jnp.cos(self._angle(at.y))
+
+
 class PositionRipple(AbstractTerm):
     """a sin(κ y) + b cos(κ y): cogging, a force periodic in the position."""
 

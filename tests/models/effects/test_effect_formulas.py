@@ -51,6 +51,10 @@ CLOSED: dict[AbstractEffect, Callable[..., Any]] = {
     effects.CubicStiffness(): lambda t, y, v, u, z, g, s: -g[0] * y * y * y,
     effects.Gravity(): lambda t, y, v, u, z, g, s: -g[0] * np.cos(y - np.pi / 2.0),
     effects.Gravity(degrees=True): lambda t, y, v, u, z, g, s: -g[0] * np.cos(np.deg2rad(y - 90.0)),
+    effects.GravityTilt(): lambda t, y, v, u, z, g, s: g[0] * np.sin(y + np.pi / 2.0),
+    effects.GravityTilt(degrees=True): lambda t, y, v, u, z, g, s: (
+        g[0] * np.sin(np.deg2rad(y + 90.0))
+    ),
     effects.PositionRipple(): lambda t, y, v, u, z, g, s: (
         np.hypot(*g) * np.cos(s[0] * y - np.arctan2(g[0], g[1]))
     ),
@@ -103,6 +107,9 @@ CLOSED: dict[AbstractEffect, Callable[..., Any]] = {
     effects.InputSquare(odd=False): lambda t, y, v, u, z, g, s: u * u,
     effects.InputQuadratic(odd=True): lambda t, y, v, u, z, g, s: u + s[0] * np.copysign(u * u, u),
     effects.InputQuadratic(odd=False): lambda t, y, v, u, z, g, s: u + s[0] * u * u,
+    effects.InputAsymmetry(): lambda t, y, v, u, z, g, s: (
+        (1.0 + s[0]) * u if u > 0 else (1.0 - s[0]) * u
+    ),
 }
 
 
