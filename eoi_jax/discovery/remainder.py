@@ -5,7 +5,7 @@ the zero of a sensor. A model that all of them share cannot have that; an offset
 record can say so.
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -14,8 +14,10 @@ from eoi_jax._status import Status
 from eoi_jax.data.holds import with_hold
 from eoi_jax.data.record import Record
 from eoi_jax.discovery.confirm import beyond_noise
+from eoi_jax.discovery.diagnose import diagnose
 from eoi_jax.discovery.judge import error_ratio
-from eoi_jax.discovery.remarks import FitNote
+from eoi_jax.discovery.own_offsets import OwnOffsets, with_own_offsets
+from eoi_jax.discovery.remarks import FitNote, is_on_fit
 from eoi_jax.discovery.result import Discovery
 from eoi_jax.discovery.rules import RULES
 from eoi_jax.models.augmented import Placed, augmented, place
@@ -76,9 +78,15 @@ def with_differences(discovery: Discovery, records: Sequence[Record]) -> Discove
     """
     runs, judging = discovery.windows_after, discovery.held_out
     fitted = discovery.found.status.fits and not discovery.plant.has_algebraic
-    if discovery.status.code not in ("partial", "unexplained") or runs is None or not fitted:
+    asked = ("partial", "unexplained") if not discovery.added else ("partial", "complete")
+    if discovery.status.code not in asked or runs is None or not fitted:
         return discovery
     fit_records = with_hold(tuple(records), judging[0].hold, judging[0].skew)
+    denied = _without_stand_ins(discovery, fit_records)
+    if denied is not discovery:
+        return denied
+    if discovery.status.code == "complete":
+        return discovery
     compared = fit_records if discovery.in_sample else (*fit_records, *judging)
     if not 2 <= len(compared) <= _RULES.most:
         return discovery
@@ -88,6 +96,57 @@ def with_differences(discovery: Discovery, records: Sequence[Record]) -> Discove
         if (note := _offsets(discovery.plant, output, compared, runs.window))
     ]
     return replace(discovery, notes=(*discovery.notes, *notes))
+
+
+def _without_stand_ins(discovery: Discovery, records: tuple[Record, ...]) -> Discovery:
+    """The discovery without effects that stand in for an offset of each record of the fit.
+
+    With offsets the declared model must leave as much less than the answer as confirms an effect: a
+    law that is right leaves no more than they do.
+    """
+    if not discovery.added or not 2 <= len(records) <= _RULES.most:
+        return discovery
+    declared, runs = discovery.declared.plant, discovery.windows_after
+    lengths = (None,) if runs is None else (runs.window, None)
+    answers = [refine_once(discovery.plant, records, length) for length in lengths]
+    for output, degree in enumerate(declared.degrees):
+        if not degree or not all(fit.status.fits for fit in answers):
+            continue
+        own = [with_own_offsets(declared, output, records, length) for length in lengths]
+        fits = [fit for fit in own if fit is not None and fit.deviation > _RULES.deviations]
+        if len(fits) < len(lengths):
+            continue
+        pairs = zip(fits, answers, strict=True)
+        falls = [np.log(fit.refinement.rmse / answer.rmse) for fit, answer in pairs]
+        ratio = float(np.exp(np.mean(falls)))
+        if ratio < RULES.answer.confirmed:
+            return _denied(discovery, records, fits[-1], declared.outputs[output], ratio)
+    return discovery
+
+
+def _denied(
+    discovery: Discovery, records: tuple[Record, ...], own: OwnOffsets, output: str, ratio: float
+) -> Discovery:
+    """The declared model in place of an answer, with a note on the offsets of the records."""
+    fit, declared, names = own.refinement, discovery.declared, _names(records)
+
+    def shown(parameters: Iterable[str]) -> list[str]:
+        values, errors = fit.parameters, fit.standard_errors
+        return [f"{values[name]:.4g} ± {errors[name]:.1g}" for name in parameters]
+
+    own_names = [names[number] for number in own.records]
+    of_records = "; ".join(map(" in ".join, zip(shown(own.names), own_names, strict=True)))
+    free = [name for name in declared.plant.names if name not in declared.plant.fixed]
+    parameters = ", ".join(map(" = ".join, zip(free, shown(free), strict=True)))
+    beside = "" if 0 in own.records else f", beside {names[0]}"
+    note = _OWN.format(output, ratio, " and ".join(discovery.effects), of_records, beside, parameters)
+    return replace(
+        discovery, effects=(), added=(), ambiguous_with=(), advice="", explained=0.0,
+        after=discovery.before, windows_after=discovery.windows_before,
+        found=declared, plant=declared.plant, status=Status("unexplained", note),
+        notes=tuple(item for item in discovery.notes if not is_on_fit(item)),
+        diagnosis=diagnose(declared, records),
+    )  # fmt: skip
 
 
 def _offsets(
@@ -137,6 +196,11 @@ def _differ(fits: Sequence[Refinement], placed: Placed) -> bool:
 
 _REFINE_HINT = ". `refine=True` looks for it in the free runs"
 _MORE_LEFT = "free runs on the held-out records miss by more than noise"
+_OWN = (
+    "the records differ in a constant at {}: with an offset of its own in each, free runs of the "
+    "declared model have {:.2g} of the error that {} leaves ({}{}). What differs between them is "
+    "not in the model: record it as an input, or remove it from the data. With these offsets {}"
+)
 _DIFFER = (
     "the records differ in a constant at {}: with an offset of its own in each, free runs have "
     "{:.2g} of the error that one offset for all leaves ({}). What differs between them is not in "

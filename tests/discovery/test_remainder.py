@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 import eoi_jax as eoi
+from eoi_jax.discovery.own_offsets import with_own_offsets
 from eoi_jax.discovery.remainder import _differ
 from eoi_jax.models.augmented import augmented, place
 from eoi_jax.models.effects import ConstantOffset
@@ -80,3 +81,45 @@ def test_offsets_that_no_record_tells_do_not_differ():
     for error in (np.inf, 0.0, np.nan):
         open_fits = [replace(fit, standard_errors={name: error}) for fit in fits]
         assert not _differ(open_fits, placed)
+
+
+ROAD = eoi.Plant(
+    lambda t, x, u, p: -(p.f0 + p.f2 * x.y[0] ** 2) / 1500.0, {"f0": 150.0, "f2": 0.3}, 1,
+    inputs=(), outputs=("v",), bounds={"f0": (0.0, 1e4), "f2": (0.0, 100.0)}, units={"v": "m/s"},
+)  # fmt: skip
+
+
+def coasting(slope, seed, speed):
+    """A car that rolls out on a slope: v' = -(170 + 0.42 v²)/1500 - g·slope, exactly."""
+    time = 0.2 * np.arange(500)
+    c, level = 0.42 / 1500.0, 170.0 / 1500.0 + 9.81 * slope
+    end = np.sqrt(level / c)
+    v = end * np.tan(np.arctan(speed / end) - np.sqrt(level * c) * time)
+    noise = 0.03 * np.random.default_rng(seed).standard_normal(len(time))
+    return eoi.Record(time, np.zeros((500, 0)), v + noise, f"run {seed}", output_names=("v",))
+
+
+@pytest.mark.slow
+def test_a_store_does_not_stand_in_for_a_slope_of_each_run():
+    up, down, third = coasting(0.004, 1, 30.0), coasting(-0.004, 2, 28.0), coasting(0.004, 3, 29.0)
+    found = eoi.discover(ROAD, [up, down], validation=third)
+    assert found.status.code == "unexplained"
+    assert "the records differ in a constant at v" in found.status.message
+    assert not found.effects
+    own = with_own_offsets(ROAD, 0, (up, down), None)
+    assert own is not None
+    assert own.records == (1,)  # f0 is that of the first
+    errors = own.refinement.standard_errors
+    truth = {"f0": 170.0 + 9.81 * 0.004 * 1500.0, "f2": 0.42, own.names[0]: 9.81 * 0.008}
+    for name, value in truth.items():
+        assert abs(own.refinement.parameters[name] - value) < 5.0 * errors[name]
+
+
+def test_offsets_of_records_that_are_alike_do_not_differ():
+    first, second = coasting(0.0, 4, 30.0), coasting(0.0, 5, 25.0)
+    own = with_own_offsets(ROAD, 0, (first, second), None)
+    assert own is not None
+    assert own.deviation < 5.0
+    powered = with_own_offsets(PLANT, 0, (warmed(18.0, 1), warmed(27.0, 2)), None)
+    assert powered is not None
+    assert powered.deviation > 20.0
