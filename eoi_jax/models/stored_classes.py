@@ -91,6 +91,7 @@ CLASSES: Mapping[str, str] = {
     "DisplacementDamping": "models.effects.friction",
     "Curve": "models.effects.curve",
     "InputCurve": "models.effects.curve",
+    "InternalFriction": "models.effects.friction",
     "QuadraticDrag": "models.effects.friction",
     "StribeckFriction": "models.effects.friction",
     "ViscousFriction": "models.effects.friction",

@@ -84,7 +84,7 @@ def written() -> Iterator[tuple[str, Any]]:
 
 def _with(effect: Any) -> eoi.Plant:
     """A plant with an effect."""
-    inside = isinstance(effect, eoi.effects.InternalOverflow)
+    inside = isinstance(effect, eoi.effects.AbstractInternalEffect)
     base = eoi.plants.cascaded_tanks() if inside else eoi.plants.mass_spring_damper()
     placed = place(base, effect, 0)
     return augmented(base, (placed,), dict.fromkeys(placed.names, 0.1))

@@ -3,10 +3,12 @@
 from collections.abc import Sequence
 from typing import Any, ClassVar
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 
 from eoi_jax.models.effects.effect import (
+    AbstractInternalEffect,
     AbstractTerm,
     At,
     Grid,
@@ -15,7 +17,7 @@ from eoi_jax.models.effects.effect import (
     mechanical,
     turns,
 )
-from eoi_jax.models.plant import Plant
+from eoi_jax.models.plant import Plant, State
 
 
 class AbstractFriction(AbstractTerm):
@@ -159,3 +161,54 @@ class AsymmetricViscousFriction(AbstractFriction):
 
 def _rms(values: Any) -> float:
     return float(np.sqrt(np.mean(values**2)))
+
+
+class InternalFriction(AbstractInternalEffect):
+    """-F tanh(z/w) in dz/dt: dry friction of a part whose speed z is not measured.
+
+    Of the load behind an elastic shaft, the far end of a string. Nothing sticks that is not
+    measured: below w the friction is viscous, and the part creeps.
+    """
+
+    name = "internal_friction"
+    sentence = "dry friction of a part that is not measured"
+    rarity = 1.0  # two parameters, at each such part
+    shapes = (Parameter("level", "{f}", lower=0.0), Parameter("creep", "{y}", lower=0.0))
+    depends_on = "y"
+
+    def fits(self, plant: Plant, output: int) -> bool:
+        """Where forces or torques move the state of a machine, by parameters of the model.
+
+        The rate of a displacement is a speed, which no parameter changes.
+        """
+        moving = plant.kinds[plant.outputs[0]] in ("position", "speed") or mechanical(plant, 0)
+        return moving and bool(_depends_on_parameters(plant)[output])
+
+    def shows(self, seen: Seen) -> bool:
+        return turns(seen.y)
+
+    def grid(self, seen: Seen) -> Grid:
+        speed = _rms(seen.y)
+        levels, creep = np.geomspace(0.01, 1.0, 6) * speed * seen.band, 0.1 * speed
+        return np.stack([levels, np.full(len(levels), creep)], axis=1)
+
+    def change(self, at: At, shape: Any) -> Any:
+        return -shape[0] * jnp.tanh(at.y / shape[1])
+
+    def term(self, at: At, gain: Any, shape: Any) -> Any:
+        del at, gain, shape
+        return 0.0
+
+
+
+def _depends_on_parameters(plant: Plant) -> np.ndarray:
+    """Whether parameters change the rate of each internal state, at an arbitrary state."""
+    draw = np.random.default_rng(0)
+    y = jnp.asarray(draw.uniform(0.3, 1.0, (plant.rows, len(plant.outputs))))
+    sizes = len(plant.initial_internal), len(plant.inputs)
+    z, u = (jnp.asarray(draw.uniform(0.3, 1.0, size)) for size in sizes)
+
+    def rates(theta: Any) -> Any:
+        return plant.internal_rate(jnp.zeros(()), State(y, z), u, theta)
+
+    return np.any(np.asarray(jax.jacfwd(rates)(jnp.asarray(plant.theta))) != 0.0, axis=1)

@@ -205,7 +205,7 @@ class FreePlay(AbstractTerm):
     """
 
     name = "free_play"
-    sentence = "free play: a gap in which the spring does not act"
+    sentence = "a spring that acts beyond a gap only: free play, or stops at both ends"
     joins = True
     gains = (Parameter("stiffness", "{f}/{y}", lower=0.0),)
     shapes = (Parameter("gap", "{y}", lower=0.0),)

@@ -46,6 +46,7 @@ CLOSED: dict[AbstractEffect, Callable[..., Any]] = {
     ),
     effects.QuadraticDrag(): lambda t, y, v, u, z, g, s: -g[0] * np.copysign(v * v, v),
     effects.CubicDamping(): lambda t, y, v, u, z, g, s: -g[0] * v * v * v,
+    effects.InternalFriction(): lambda t, y, v, u, z, g, s: 0.0,
     effects.LinearStiffness(): lambda t, y, v, u, z, g, s: -g[0] * y,
     effects.QuadraticStiffness(): lambda t, y, v, u, z, g, s: -g[0] * y * y,
     effects.CubicStiffness(): lambda t, y, v, u, z, g, s: -g[0] * y * y * y,
@@ -155,11 +156,22 @@ def test_every_effect_has_a_closed_form_here():
     assert {one.name for one in in_series} == {"cells_in_series", "sensor_lag"}  # test_series.py
 
 
-@pytest.mark.parametrize("effect", INTERNAL, ids=label)
+SPILLS = [one for one in INTERNAL if isinstance(one, effects.InternalOverflow)]
+
+
+@pytest.mark.parametrize("effect", SPILLS, ids=label)
 def test_spill_of_an_internal_state_is_lost_above_the_brim(effect):
     for (t, y, v, u, z), _, shapes in points(effect, 2):
         rate = effect.change(At(*map(jnp.asarray, (t, y, v, u, z))), shapes)
         assert rate == pytest.approx(-shapes[0] * max(y - shapes[1], 0.0), abs=1e-13)
+
+
+def test_friction_of_a_part_that_is_not_measured_is_against_its_speed():
+    effect = effects.InternalFriction()
+    for (t, y, v, u, z), _, shapes in points(effect, 2):
+        rate = effect.change(At(*map(jnp.asarray, (t, y, v, u, z))), shapes)
+        steep = np.exp(-2.0 * abs(y) / shapes[1])
+        assert rate == pytest.approx(-shapes[0] * np.sign(y) * (1.0 - steep) / (1.0 + steep))
 
 
 def test_hysteresis_follows_bouc_and_wen():

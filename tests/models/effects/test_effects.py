@@ -489,8 +489,8 @@ def test_asymmetric_friction_is_one_level_and_an_offset_while_it_moves():
         assert levels == pytest.approx(float(both[1](one, (0.4,), ())) + 0.5 * (0.3 - 0.5))
 
 
-def test_gravity_is_not_tried_at_small_angles():
-    gravity = effects.Gravity()
+@pytest.mark.parametrize("gravity", [effects.Gravity(), effects.GravityTilt()], ids=label)
+def test_gravity_is_not_tried_at_small_angles(gravity):
     small = replace(seen(), y=0.3 * np.tanh(seen().y))
     assert len(gravity.grid(small)) == 0
     assert len(gravity.grid(seen())) == 1
@@ -510,6 +510,35 @@ def test_gravity_of_an_angle_in_degrees_is_that_in_radians(unit_of_angle):
     assert fitting == [turned]
     assert [one.effect for one in placements(MASS, effects.standard())].count(plain) == 1
     assert turned not in [one.effect for one in placements(MASS, effects.standard())]
+
+
+SHAFT = eoi.Plant(
+    lambda t, x, u, p: (u[0] - p.k * x.z[0]) / p.motor,
+    {"motor": 0.004, "k": 60.0, "load": 0.02},
+    inputs=("torque",),
+    outputs=("speed",),
+    internal=lambda t, x, u, p: jnp.stack([x.y[0, 0] - x.z[1], p.k * x.z[0] / p.load]),
+    internal_initial=(0.0, 0.0),
+)
+
+
+def test_a_part_that_is_not_measured_has_friction_where_torques_move_it():
+    friction = effects.InternalFriction()
+    (placed,) = placements(SHAFT, [friction])
+    assert placed.channel == 1  # the twist moves as the speeds say
+    assert not placements(CASCADE, [friction])  # a level has no friction
+    new = augmented(SHAFT, [placed], dict(zip(placed.names, (20.0, 0.1), strict=True)))
+    state, theta = eoi.State(jnp.zeros((1, 1)), jnp.array([0.0, 0.5])), jnp.asarray(new.theta)
+    rates = new.internal_rate(jnp.zeros(()), state, jnp.zeros(1), theta)
+    np.testing.assert_allclose(rates, [-0.5, -20.0 * np.tanh(5.0)])
+    assert friction.shows(seen())
+    assert not friction.shows(replace(seen(), y=np.abs(seen().y)))
+
+
+def test_an_input_of_one_sign_has_one_gain():
+    asymmetry = effects.InputAsymmetry()
+    assert len(asymmetry.grid(seen())) > 1
+    assert len(asymmetry.grid(replace(seen(), u=np.abs(seen().u)))) == 0
 
 
 def test_end_stop_below_pushes_up():
