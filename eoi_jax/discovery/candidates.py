@@ -65,6 +65,7 @@ def seen_at(
     band: float,
     peaks: Float[np.ndarray, " peaks"],
     lags: Float[np.ndarray, " lags"],
+    wavenumbers: Float[np.ndarray, " wavenumbers"] | None = None,
 ) -> Seen:
     """The signals and scales of the records at the channel of an effect."""
     input_index = placed.channel if placed.on_input else 0
@@ -90,6 +91,7 @@ def seen_at(
         peaks,
         lags,
         plant.kinds[plant.outputs[placed.output]],
+        np.zeros(0) if wavenumbers is None else wavenumbers,
     )
 
 

@@ -86,7 +86,7 @@ def _record_lags(
         driven = record.rows(thinned(driven, record.weight[j], record.kernel))
         rows = slice(j * len(record.omega), (j + 1) * len(record.omega))
         late, early = (
-            _signal(record, part / np.sqrt(power[rows]), length)
+            signal_of_low_modes(record, part / np.sqrt(power[rows]), length)
             for part in (residual[rows], driven)
         )
         product += np.fft.irfft(np.fft.rfft(late, size) * np.conj(np.fft.rfft(early, size)), size)
@@ -102,7 +102,9 @@ def _record_lags(
     ]
 
 
-def _signal(record: ModalRecord, modes: Rows, length: int) -> Float[np.ndarray, " nodes"]:
+def signal_of_low_modes(
+    record: ModalRecord, modes: Rows, length: int
+) -> Float[np.ndarray, " nodes"]:
     """The signal of the low modes, up to the first mode that is left out."""
     from scipy.fft import idct  # only discovery needs it
 

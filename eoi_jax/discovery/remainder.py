@@ -139,7 +139,9 @@ def _denied(
     free = [name for name in declared.plant.names if name not in declared.plant.fixed]
     parameters = ", ".join(map(" = ".join, zip(free, shown(free), strict=True)))
     beside = "" if 0 in own.records else f", beside {names[0]}"
-    note = _OWN.format(output, ratio, " and ".join(discovery.effects), of_records, beside, parameters)
+    note = _OWN.format(
+        output, ratio, " and ".join(discovery.effects), of_records, beside, parameters
+    )
     return replace(
         discovery, effects=(), added=(), ambiguous_with=(), advice="", explained=0.0,
         after=discovery.before, windows_after=discovery.windows_before,

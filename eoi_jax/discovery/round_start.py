@@ -17,8 +17,9 @@ from eoi_jax.discovery.regression import Base, Fit, fitted, settled
 from eoi_jax.discovery.rules import RULES
 from eoi_jax.discovery.search import Scores
 from eoi_jax.discovery.task import Task
+from eoi_jax.discovery.wavenumbers import wavenumbers
 from eoi_jax.models.augmented import Placed, augmented, own_states
-from eoi_jax.models.effects import ConstantOffset
+from eoi_jax.models.effects import ConstantOffset, PositionRipple
 from eoi_jax.models.effects.effect import AbstractActuator
 from eoi_jax.models.placements import placements
 from eoi_jax.models.plant import Plant
@@ -91,7 +92,10 @@ class RoundStart:
         spilling = {placed.effect.name for placed in self.placed if placed.on_state}
         peaks, cutoff = self._peaks(), self.task.declared.lowpass.cutoff
         return {
-            placed: seen_at(self.model, placed, self.modes, cutoff, peaks, self._lags(placed))
+            placed: seen_at(
+                self.model, placed, self.modes, cutoff, peaks, self._lags(placed),
+                self._wavenumbers(placed),
+            )
             for placed in placements(self.model, self.task.effects)
             if placed.site not in present
             and not (placed.on_state and placed.effect.name in spilling)
@@ -151,6 +155,12 @@ class RoundStart:
         if not isinstance(placed.effect, AbstractActuator):
             return np.zeros(0)
         return lags(self.model, self.modes, *self._residual_and_power, placed.channel)
+
+    def _wavenumbers(self, placed: Placed) -> Float[np.ndarray, " wavenumbers"]:
+        """Wavenumbers at which the residual of the declared model repeats along the position."""
+        if not isinstance(placed.effect, PositionRipple) or placed.against is not None:
+            return np.zeros(0)
+        return wavenumbers(self.modes, *self._residual_and_power, placed)
 
     @cached_property
     def _residual_and_power(self) -> tuple[Float[np.ndarray, " rows"], Float[np.ndarray, " rows"]]:

@@ -82,6 +82,25 @@ class LagRules:
 
 
 @dataclass(frozen=True)
+class WavenumberRules:
+    """Wavenumbers at which the residual repeats along the position (`wavenumbers.py`).
+
+    Attributes:
+        threshold: standard deviations of a spectrum of noise from which on it is a peak.
+        least: periods over the range up to which the grid of ripples has them.
+        most: the same, above which none is sought.
+        noise: length of the shortest wave over the noise of the position.
+        peaks: number of wavenumbers.
+    """
+
+    threshold: float = 6.0
+    least: int = 25
+    most: int = 20_000
+    noise: float = 20.0
+    peaks: int = 2
+
+
+@dataclass(frozen=True)
 class SearchRules:
     """The search over sets of effects (`search.py`).
 
@@ -374,7 +393,7 @@ class DiscoveryRules:
     """All of them.
 
     Attributes:
-        modes, noise, lags: of the injection.
+        modes, noise, lags, wavenumbers: of the injection.
         search, round, answer: of the search in the injection, and of its answer.
         probability: of effects against their rivals.
         judge, free_runs, questions: of free runs on held-out records.
@@ -387,6 +406,7 @@ class DiscoveryRules:
     modes: ModeRules = field(default_factory=ModeRules)
     noise: NoiseRules = field(default_factory=NoiseRules)
     lags: LagRules = field(default_factory=LagRules)
+    wavenumbers: WavenumberRules = field(default_factory=WavenumberRules)
     search: SearchRules = field(default_factory=SearchRules)
     round: RoundRules = field(default_factory=RoundRules)
     answer: AnswerRules = field(default_factory=AnswerRules)

@@ -80,13 +80,14 @@ class Seen:
     Attributes:
         y, v, u: the scored samples of all records for the channel that the effect acts on.
         measured: whether `v` is the output itself, of relative degree one.
-        kind: what the output is (`models/kinds.py`); "" where that is not known.
         noise: standard deviation of the remaining noise in `y`.
         duration: duration of the longest record [s].
         sample_period: h [s].
         band: frequency that holds most of y^(r) [rad/s].
         peaks: frequencies of the peaks of the residual [rad/s].
         lags: lags at which the residual follows the input [s].
+        kind: what the output is (`models/kinds.py`); "" where that is not known.
+        wavenumbers: at which the residual repeats along the position, many periods [1/unit of y].
     """
 
     y: Float[np.ndarray, " samples"]
@@ -100,6 +101,7 @@ class Seen:
     peaks: Float[np.ndarray, " peaks"]
     lags: Float[np.ndarray, " lags"] = field(default_factory=lambda: np.zeros(0))
     kind: str = ""
+    wavenumbers: Float[np.ndarray, " wavenumbers"] = field(default_factory=lambda: np.zeros(0))
 
     @property
     def is_speed(self) -> bool:

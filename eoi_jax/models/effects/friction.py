@@ -200,7 +200,6 @@ class InternalFriction(AbstractInternalEffect):
         return 0.0
 
 
-
 def _depends_on_parameters(plant: Plant) -> np.ndarray:
     """Whether parameters change the rate of each internal state, at an arbitrary state."""
     draw = np.random.default_rng(0)

@@ -140,7 +140,10 @@ class PositionRipple(AbstractTerm):
         reach = np.ptp(seen.y) or 1.0
         resolved = phases * seen.noise < 0.3 * reach
         resolved[0] = True
-        return (phases[resolved] / reach)[:, None]
+        # Of many periods only wavenumbers that the residual shows, and their first harmonics.
+        many = np.outer(seen.wavenumbers, [1.0, 2.0]).ravel()
+        many = many[many * reach > phases[-1]]
+        return np.concatenate([phases[resolved] / reach, many])[:, None]
 
     def term(self, at: At, gain: Any, shape: Any) -> Any:
         phase = shape[0] * at.y
