@@ -20,6 +20,7 @@ from dataclasses import dataclass, replace
 
 from eoi_jax._blas import one_thread
 from eoi_jax._checks import check, check_count, real
+from eoi_jax.data.clipping import clipped_notes
 from eoi_jax.data.record import Record
 from eoi_jax.discovery.additions import sensor_notes
 from eoi_jax.discovery.curves import misses_a_law, with_curves
@@ -146,7 +147,8 @@ def discover(
     unplaced_notes = (
         [] if effects is None else notes_without_place(tried_effects, fitting, discovery)
     )
-    notes = *sensor_notes(plant, discovery.added), *unplaced_notes, *runs
+    clipped = clipped_notes((*fit_records, *held_out))
+    notes = *sensor_notes(plant, discovery.added), *unplaced_notes, *runs, *clipped
     discovery = replace(discovery, notes=(*discovery.notes, *notes))
     return with_test_errors(discovery, unseen, fit_records, window) if unseen else discovery
 

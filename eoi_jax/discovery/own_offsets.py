@@ -12,7 +12,6 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Float
 
 from eoi_jax.data.record import Record
 from eoi_jax.models.parameters import parameter_type
@@ -24,7 +23,7 @@ _NUMBER = "record_number"  # the further input
 _OFFSET = "offset_of_record_{}"
 # Part of a constant that the parameters leave, from which on it is none of theirs. Derivatives by
 # differences of noisy outputs are used nowhere: of exact ones rounding is left.
-_OWN = 1e-6
+_ROUNDING = 1e-6
 _POINTS = 200  # samples of each record at which that is seen
 
 
@@ -53,8 +52,8 @@ class OwnOffsets:
             return 0.0
         weights = np.linalg.pinv(covariance, hermitian=True)
         if 0 in self.records:  # from their mean, weighted by what is known of each
-            ones = np.ones(len(values))
-            values = values - (ones @ weights @ values) / (ones @ weights @ ones)
+            unit = np.ones(len(values))
+            values = values - (unit @ weights @ values) / (unit @ weights @ unit)
         return float(np.sqrt(max(values @ weights @ values, 0.0) / len(values)))
 
 
@@ -126,14 +125,14 @@ def _has_constant(plant: Plant, output: int, records: Sequence[Record]) -> bool:
         y[:, 0] = np.nan_to_num(record.outputs[chosen])
         for row in range(1, plant.rows):
             y[:, row] = np.gradient(y[:, row - 1], record.time[chosen], axis=0)
-        found = jax.vmap(slopes)(jnp.asarray(y), jnp.asarray(np.nan_to_num(record.inputs[chosen])))
-        columns.append(np.asarray(found)[:, output, free])
+        rows = jax.vmap(slopes)(jnp.asarray(y), jnp.asarray(np.nan_to_num(record.inputs[chosen])))
+        columns.append(np.asarray(rows)[:, output, free])
     table = np.concatenate(columns)
     size = np.linalg.norm(table, axis=0)
     table = table / np.where(size > 0.0, size, 1.0)
-    one = np.ones(len(table))
-    left = one - table @ np.linalg.lstsq(table, one, rcond=1e-9)[0]
-    return bool(np.sqrt(np.mean(left**2)) < _OWN)
+    constant = np.ones(len(table))
+    residue = constant - table @ np.linalg.lstsq(table, constant, rcond=1e-9)[0]
+    return bool(np.sqrt(np.mean(residue**2)) < _ROUNDING)
 
 
 @dataclass(frozen=True)

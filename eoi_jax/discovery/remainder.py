@@ -112,8 +112,8 @@ def _without_stand_ins(discovery: Discovery, records: tuple[Record, ...]) -> Dis
     for output, degree in enumerate(declared.degrees):
         if not degree or not all(fit.status.fits for fit in answers):
             continue
-        own = [with_own_offsets(declared, output, records, length) for length in lengths]
-        fits = [fit for fit in own if fit is not None and fit.deviation > _RULES.deviations]
+        shifted = [with_own_offsets(declared, output, records, length) for length in lengths]
+        fits = [fit for fit in shifted if fit is not None and fit.deviation > _RULES.deviations]
         if len(fits) < len(lengths):
             continue
         pairs = zip(fits, answers, strict=True)
@@ -125,22 +125,26 @@ def _without_stand_ins(discovery: Discovery, records: tuple[Record, ...]) -> Dis
 
 
 def _denied(
-    discovery: Discovery, records: tuple[Record, ...], own: OwnOffsets, output: str, ratio: float
+    discovery: Discovery,
+    records: tuple[Record, ...],
+    shifted: OwnOffsets,
+    output: str,
+    ratio: float,
 ) -> Discovery:
     """The declared model in place of an answer, with a note on the offsets of the records."""
-    fit, declared, names = own.refinement, discovery.declared, _names(records)
+    fit, declared, names = shifted.refinement, discovery.declared, _names(records)
 
-    def shown(parameters: Iterable[str]) -> list[str]:
+    def formatted(parameters: Iterable[str]) -> list[str]:
         values, errors = fit.parameters, fit.standard_errors
         return [f"{values[name]:.4g} ± {errors[name]:.1g}" for name in parameters]
 
-    own_names = [names[number] for number in own.records]
-    of_records = "; ".join(map(" in ".join, zip(shown(own.names), own_names, strict=True)))
+    labels = [names[number] for number in shifted.records]
+    of_records = "; ".join(map(" in ".join, zip(formatted(shifted.names), labels, strict=True)))
     free = [name for name in declared.plant.names if name not in declared.plant.fixed]
-    parameters = ", ".join(map(" = ".join, zip(free, shown(free), strict=True)))
-    beside = "" if 0 in own.records else f", beside {names[0]}"
-    note = _OWN.format(
-        output, ratio, " and ".join(discovery.effects), of_records, beside, parameters
+    parameters = ", ".join(map(" = ".join, zip(free, formatted(free), strict=True)))
+    suffix = "" if 0 in shifted.records else f", beside {names[0]}"
+    note = _SHIFTED.format(
+        output, ratio, " and ".join(discovery.effects), of_records, suffix, parameters
     )
     return replace(
         discovery, effects=(), added=(), ambiguous_with=(), advice="", explained=0.0,
@@ -198,7 +202,7 @@ def _differ(fits: Sequence[Refinement], placed: Placed) -> bool:
 
 _REFINE_HINT = ". `refine=True` looks for it in the free runs"
 _MORE_LEFT = "free runs on the held-out records miss by more than noise"
-_OWN = (
+_SHIFTED = (
     "the records differ in a constant at {}: with an offset of its own in each, free runs of the "
     "declared model have {:.2g} of the error that {} leaves ({}{}). What differs between them is "
     "not in the model: record it as an input, or remove it from the data. With these offsets {}"

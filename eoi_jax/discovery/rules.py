@@ -87,14 +87,14 @@ class WavenumberRules:
 
     Attributes:
         threshold: standard deviations of a spectrum of noise from which on it is a peak.
-        least: periods over the range up to which the grid of ripples has them.
+        fewest: periods over the range up to which the grid of ripples has them.
         most: the same, above which none is sought.
         noise: length of the shortest wave over the noise of the position.
         peaks: number of wavenumbers.
     """
 
     threshold: float = 6.0
-    least: int = 25
+    fewest: int = 25
     most: int = 20_000
     noise: float = 20.0
     peaks: int = 2

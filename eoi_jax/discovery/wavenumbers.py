@@ -1,4 +1,4 @@
-r"""Wavenumbers at which a model's residual repeats along the position: points for the grid of ripples.
+r"""Wavenumbers at which a residual repeats along the position: points for the grid of ripples.
 
 A motor that turns often passes its magnets thousands of times, a screw its pitch. Such a ripple
 a sin(κ y) fits only within 1/range of its wavenumber, and no grid is so fine. The residual, in
@@ -49,7 +49,7 @@ def wavenumbers(
     if not (reach > 0.0 and scale > 0.0):
         return np.zeros(0)
     periods = int(min(_RULES.most, reach / max(_RULES.noise * noise, np.finfo(float).tiny)))
-    if periods <= _RULES.least:
+    if periods <= _RULES.fewest:
         return np.zeros(0)
     bins = _BINS * periods
     place = np.minimum(((y - y.min()) / reach * bins).astype(int), bins - 1)
@@ -60,10 +60,12 @@ def wavenumbers(
     top = 1 + np.flatnonzero(
         (inner > spectrum[:-2]) & (inner >= spectrum[2:]) & (inner > _RULES.threshold)
     )
-    top = top[(numbers[top] > _RULES.least) & (numbers[top] < periods)]
+    top = top[(numbers[top] > _RULES.fewest) & (numbers[top] < periods)]
     peaks = [Peak(_refined(spectrum, i) / _PADDED, float(spectrum[i]), 1.0) for i in top.tolist()]
-    found = [number for number, _ in zip(strongest(peaks), range(_RULES.peaks), strict=False)]
-    return 2.0 * np.pi / reach * np.asarray(found)
+    numbers_found = [
+        number for number, _ in zip(strongest(peaks), range(_RULES.peaks), strict=False)
+    ]
+    return 2.0 * np.pi / reach * np.asarray(numbers_found)
 
 
 def _refined(values: Float[np.ndarray, " points"], top: int) -> float:

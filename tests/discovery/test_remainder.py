@@ -123,3 +123,13 @@ def test_offsets_of_records_that_are_alike_do_not_differ():
     powered = with_own_offsets(PLANT, 0, (warmed(18.0, 1), warmed(27.0, 2)), None)
     assert powered is not None
     assert powered.deviation > 20.0
+
+
+def test_outputs_that_stay_at_an_end_of_their_range_are_told():
+    day = warmed(18.0, 7)
+    ceiling = np.quantile(day.outputs, 0.9)
+    full = day.with_outputs(np.minimum(day.outputs, ceiling), "full")
+    found = eoi.discover(PLANT, full, validation=0.3, effects=["constant_offset"])
+    told = [note for note in found.notes if "an end of its range" in note]
+    assert told
+    assert all("temperature stays at" in note for note in told)

@@ -189,8 +189,10 @@ class InternalFriction(AbstractInternalEffect):
 
     def grid(self, seen: Seen) -> Grid:
         speed = _rms(seen.y)
-        levels, creep = np.geomspace(0.01, 1.0, 6) * speed * seen.band, 0.1 * speed
-        return np.stack([levels, np.full(len(levels), creep)], axis=1)
+        # Its friction is stiff below the lowest speed of creep.
+        levels, creep = np.geomspace(0.01, 1.0, 6) * seen.band, np.array([0.02, 0.1])
+        pairs = np.meshgrid(levels, creep, indexing="ij")
+        return speed * np.stack(pairs, axis=-1).reshape(-1, 2)
 
     def change(self, at: At, shape: Any) -> Any:
         return -shape[0] * jnp.tanh(at.y / shape[1])

@@ -52,8 +52,8 @@ def standard() -> tuple[AbstractEffect, ...]:
     """Every canonical effect; `discover` tries those that fit the plant.
 
     Five names have several forms: `end_stop` (above, below), `gravity` and `gravity_tilt` (of an
-    angle in radians, in degrees), `input_quadratic` (odd, even) and `overflow` (of an output; of an internal state,
-    caught in part or not at all).
+    angle in radians, in degrees), `input_quadratic` (odd, even) and `overflow` (of an output; of an
+    internal state, caught in part or not at all).
 
     Returns:
         One object of each form.

@@ -73,17 +73,15 @@ class CubicStiffness(AbstractTerm):
 
 
 @dataclass(frozen=True)
-class Gravity(AbstractTerm):
-    """-g sin(y), y an angle.
+class AbstractGravity(AbstractTerm):
+    """A force that gravity has at an angle y.
 
     Attributes:
         degrees: whether y is in degrees: this form fits outputs with the unit "deg", "degree",
             "degrees" or "°", the form in radians all others.
     """
 
-    name = "gravity"
-    sentence = "gravity: a force with the sine of the position"
-    rarity = 2.0  # at small angles it is a linear spring
+    rarity = 2.0  # at small angles it is a linear spring, or a constant offset
     gains = (Parameter("", "{f}"),)
     depends_on = "y"
 
@@ -96,25 +94,38 @@ class Gravity(AbstractTerm):
     def grid(self, seen: Seen) -> Grid:
         return np.zeros((1 if np.max(np.abs(self._angle(seen.y))) > _SMALL_ANGLE else 0, 0))
 
-    def term(self, at: At, gain: Any, shape: Any) -> Any:
-        return -gain[0] * jnp.sin(self._angle(at.y))
-
     def _angle(self, y: Any) -> Any:
         """The angle in radians."""
         return y * (np.pi / 180.0) if self.degrees else y
 
 
-@dataclass(frozen=True)
-class GravityTilt(Gravity):
+class Gravity(AbstractGravity):
+    """-g sin(y), y an angle.
+
+    Attributes:
+        degrees: whether y is in degrees: this form fits outputs with the unit "deg", "degree",
+            "degrees" or "°", the form in radians all others.
+    """
+
+    name = "gravity"
+    sentence = "gravity: a force with the sine of the position"
+
+    def term(self, at: At, gain: Any, shape: Any) -> Any:
+        return -gain[0] * jnp.sin(self._angle(at.y))
+
+
+class GravityTilt(AbstractGravity):
     """c cos(y): gravity that pulls at the zero of the angle, too.
 
     Of a base that is tilted, or an angle sensor whose zero is not the vertical by δ: in place of
     g sin(y) gravity is g sin(y - δ), and c = g sin(δ).
+
+    Attributes:
+        degrees: as of `Gravity`.
     """
 
     name = "gravity_tilt"
     sentence = "gravity at the zero of the angle (a tilted base, or a sensor whose zero is off)"
-    rarity = 2.0  # at small angles it is a constant offset
 
     def term(self, at: At, gain: Any, shape: Any) -> Any:
         return gain[0] * jnp.cos(self._angle(at.y))
@@ -141,9 +152,9 @@ class PositionRipple(AbstractTerm):
         resolved = phases * seen.noise < 0.3 * reach
         resolved[0] = True
         # Of many periods only wavenumbers that the residual shows, and their first harmonics.
-        many = np.outer(seen.wavenumbers, [1.0, 2.0]).ravel()
-        many = many[many * reach > phases[-1]]
-        return np.concatenate([phases[resolved] / reach, many])[:, None]
+        harmonics = np.outer(seen.wavenumbers, [1.0, 2.0]).ravel()
+        fine = harmonics[harmonics * reach > phases[-1]]
+        return np.concatenate([phases[resolved] / reach, fine])[:, None]
 
     def term(self, at: At, gain: Any, shape: Any) -> Any:
         phase = shape[0] * at.y
