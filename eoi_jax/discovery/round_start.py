@@ -93,7 +93,12 @@ class RoundStart:
         peaks, cutoff = self._peaks(), self.task.declared.lowpass.cutoff
         return {
             placed: seen_at(
-                self.model, placed, self.modes, cutoff, peaks, self._lags(placed),
+                self.model,
+                placed,
+                self.modes,
+                cutoff,
+                peaks,
+                self._lags(placed),
                 self._wavenumbers(placed),
             )
             for placed in placements(self.model, self.task.effects)

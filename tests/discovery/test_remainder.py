@@ -100,6 +100,7 @@ def coasting(slope, seed, speed):
 
 
 @pytest.mark.slow
+@pytest.mark.long
 def test_a_store_does_not_stand_in_for_a_slope_of_each_run():
     up, down, third = coasting(0.004, 1, 30.0), coasting(-0.004, 2, 28.0), coasting(0.004, 3, 29.0)
     found = eoi.discover(ROAD, [up, down], validation=third)
