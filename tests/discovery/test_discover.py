@@ -406,7 +406,8 @@ def test_ranking_holds_every_candidate_once_with_the_found_first():
     assert ranking[0].parameters["coulomb_friction"] == pytest.approx(0.5, rel=1e-2)
     assert ranking[0].score > 0
     by_name = {one.effect: one for one in ranking}
-    mechanical = {one.name for one in effects.standard()} - {"leak", "overflow"}
+    inside = {"leak", "overflow", "internal_friction"}
+    mechanical = {one.name for one in effects.standard()} - inside
     assert set(by_name) == mechanical
     for name in ("viscous_friction", "linear_stiffness"):
         assert by_name[name].remark == "already in the model"

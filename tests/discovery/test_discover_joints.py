@@ -34,13 +34,14 @@ PLANT = eoi.Plant(
 )
 
 
-def rate(x: np.ndarray, u: float) -> np.ndarray:
+def rate(x: np.ndarray, u: float, hard: float, rebound: float) -> np.ndarray:
     one, two, v1, v2 = x
-    pull = 200.0 * (one - two) + HARD * (one - two) ** 3 + 1.2 * (v1 - v2)
+    pull = 200.0 * (one - two) + hard * (one - two) ** 3
+    pull += 1.2 * (v1 - v2) + rebound * abs(v1 - v2)
     return np.array([v1, v2, u - 60.0 * one - 0.8 * v1 - pull, pull / 0.6])
 
 
-def record(seed: int) -> eoi.Record:
+def record(seed: int, hard: float = HARD, rebound: float = 0.0) -> eoi.Record:
     """Inputs held over each sample; the classical Runge-Kutta rule, four steps a sample."""
     draw, time = np.random.default_rng(seed), STEP * np.arange(SAMPLES)
     lines = 2.0 * np.pi * draw.uniform(0.2, 5.0, 14)
@@ -49,10 +50,11 @@ def record(seed: int) -> eoi.Record:
     for u in force:
         states.append(x[:2])
         for _ in range(4):
-            a = rate(x, u)
-            b = rate(x + 0.5 * h * a, u)
-            c = rate(x + 0.5 * h * b, u)
-            x = x + h / 6.0 * (a + 2.0 * b + 2.0 * c + rate(x + h * c, u))
+            a = rate(x, u, hard, rebound)
+            b = rate(x + 0.5 * h * a, u, hard, rebound)
+            c = rate(x + 0.5 * h * b, u, hard, rebound)
+            d = rate(x + h * c, u, hard, rebound)
+            x = x + h / 6.0 * (a + 2.0 * b + 2.0 * c + d)
     return eoi.Record(
         time, force[:, None], noisy(np.asarray(states), NOISE, draw), f"run {seed}", hold="zero",
         input_names=PLANT.inputs, output_names=PLANT.outputs,
@@ -88,6 +90,19 @@ def test_it_is_told_as_one_between_two(found):
         "", "near", "far",
     }  # fmt: skip
     assert {one.against for one in found.ranking if one.effect == "coulomb_friction"} == {""}
+
+
+@pytest.mark.slow
+def test_a_damper_with_two_rates_between_two_masses_is_named_at_both():
+    """A shock absorber: what it takes when pulled differs from what it takes when pushed."""
+    records = [record(seed, hard=0.0, rebound=0.7) for seed in (3, 4)]
+    answer = eoi.discover(PLANT, *records, [*FEW, effects.AsymmetricViscousFriction()])
+    assert answer.effects == ("asymmetric_friction",)
+    assert {(one.output, one.against) for one in answer.added} == {("near", "far"), ("far", "near")}
+    values = answer.plant.parameters
+    assert values["asymmetric_friction_slope_near_far"] == pytest.approx(0.7, rel=0.03)
+    assert values["asymmetric_friction_slope_far_near"] == pytest.approx(-0.7 / 0.6, rel=0.03)
+    assert values["c"] == pytest.approx(1.2, rel=0.03)
 
 
 def test_it_is_drawn_against_the_difference(found):

@@ -76,6 +76,7 @@ CASES: dict[str, Any] = {
         {"change": lambda i: i + 0.15 * i * np.abs(i)},
         {"input_quadratic": 0.15},
     ),
+    "input_asymmetry": ({"change": lambda i: i + 0.2 * np.abs(i)}, {"input_asymmetry": 0.2}),
     "input_saturation": ({"change": lambda i: np.clip(i, -1.6, 1.6)}, {"input_saturation": 1.6}),
     "input_dead_zone": (
         {"change": lambda i: np.sign(i) * np.maximum(np.abs(i) - 0.4, 0.0)},

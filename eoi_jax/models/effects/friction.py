@@ -147,6 +147,7 @@ class AsymmetricViscousFriction(AbstractFriction):
 
     name = "asymmetric_friction"
     sentence = "viscous friction that differs between the two directions"
+    joins = True
     gains = (Parameter("slope", "{f/v}"),)
     reverses = True
 
