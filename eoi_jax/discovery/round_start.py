@@ -134,7 +134,7 @@ class RoundStart:
         values = {
             name: value
             for placed, numbers in added.items()
-            for name, value in zip(placed.names, numbers, strict=True)
+            for name, value in zip(placed.names, physical(placed, numbers), strict=True)
         }
         plant = augmented(self.model, list(added), values, _bounds(scores, list(added)))
         parameters = np.concatenate([theta, np.asarray(plant.theta)[len(theta) :]])
@@ -185,6 +185,19 @@ class RoundStart:
             (actuator.names[0] for actuator in actuators if actuator.channel == placed.channel),
             None,
         )
+
+
+def physical(placed: Placed, numbers: Sequence[float]) -> tuple[float, ...]:
+    """Parameters of an effect, each within its physical range: a set without another may leave it.
+
+    Args:
+        placed: the effect.
+        numbers: of its parameters, gains first.
+    """
+    pairs = zip(placed.effect.parameters, numbers, strict=True)
+    return tuple(
+        float(np.clip(value, parameter.lower, parameter.upper)) for parameter, value in pairs
+    )
 
 
 def _bounds(scores: Scores, added: Sequence[Placed]) -> dict[str, tuple[float, float]]:

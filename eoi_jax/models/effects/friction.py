@@ -190,10 +190,9 @@ class InternalFriction(AbstractInternalEffect):
 
     def grid(self, seen: Seen) -> Grid:
         speed = _rms(seen.y)
-        # Its friction is stiff below the lowest speed of creep.
-        levels, creep = np.geomspace(0.01, 1.0, 6) * seen.band, np.array([0.02, 0.1])
-        pairs = np.meshgrid(levels, creep, indexing="ij")
-        return speed * np.stack(pairs, axis=-1).reshape(-1, 2)
+        # One speed of creep: below it the friction is stiff, and no record tells it well.
+        levels = np.geomspace(0.01, 1.0, 6) * seen.band
+        return speed * np.stack([levels, np.full(len(levels), 0.1)], axis=1)
 
     def change(self, at: At, shape: Any) -> Any:
         return -shape[0] * jnp.tanh(at.y / shape[1])
