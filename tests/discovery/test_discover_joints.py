@@ -95,8 +95,8 @@ def test_it_is_told_as_one_between_two(found):
 @pytest.mark.slow
 def test_a_damper_with_two_rates_between_two_masses_is_named_at_both():
     """A shock absorber: what it takes when pulled differs from what it takes when pushed."""
-    records = [record(seed, hard=0.0, rebound=0.7) for seed in (3, 4)]
-    answer = eoi.discover(PLANT, *records, [*FEW, effects.AsymmetricViscousFriction()])
+    run, test = (record(seed, hard=0.0, rebound=0.7) for seed in (3, 4))
+    answer = eoi.discover(PLANT, run, test, [*FEW, effects.AsymmetricViscousFriction()])
     assert answer.effects == ("asymmetric_friction",)
     assert {(one.output, one.against) for one in answer.added} == {("near", "far"), ("far", "near")}
     values = answer.plant.parameters
