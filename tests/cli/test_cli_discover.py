@@ -14,7 +14,9 @@ from eoi_jax.cli import actions, build, html_report, run_folder
 from eoi_jax.cli import config as configs
 from eoi_jax.cli.commands import app
 from eoi_jax.compiler import jax_setup
+from eoi_jax.models import effects
 from eoi_jax.models.equations.display import equation_lines
+from eoi_jax.report.provenance import json_values
 
 CONFIGS = Path(__file__).resolve().parents[2] / "configs"
 
@@ -167,6 +169,18 @@ def test_json_is_one_object_with_everything(known, found, config, tmp_path):
     assert [one["name"] for one in result["held_out_records"]] == ["hidden, held out"]
     assert set(result["versions"]) == {"eoi_jax", "jax", "numpy", "python"}
     assert result["config"]["simulate"]["effects"] == {"coulomb_friction": 0.3}
+
+
+def test_the_form_of_every_effect_has_values_of_json():
+    plant = eoi.plant_from_text(
+        {"x": "u - a*x", "y": "w - a*y"}, {"a": 1.0}, ["x", "y"], ["u", "w"], name="pair"
+    )
+    library = [*effects.standard(), *effects.rare(), *effects.wider(), *effects.on_request()]
+    library += [*effects.couplings(plant), *effects.input_products(plant)]
+    forms = [json.loads(json.dumps(json_values(vars(effect)))) for effect in library]
+    named = [[signal["name"] for signal in form.get("signals", ())] for form in forms]
+    assert ["x", "y"] in named
+    assert ["w", "x"] in named
 
 
 @pytest.mark.slow
