@@ -340,6 +340,8 @@ class Search:
         for item, form in zip(model.placed, forms, strict=True):
             # One may fit only where another one is: a stream through cells may be a product.
             if form is not None:
+                if not form.fits(plant, item.channel):  # a fit may have turned the stream round
+                    return None
                 item = place(plant, form, item.channel, item.against, item.through)
             if item not in self.base.placed:
                 missing = dict.fromkeys(item.names, 0.0)

@@ -587,3 +587,21 @@ def test_the_score_test_tries_a_store_beside_a_parameter():
     refined = refine_once(PLATE, (measured(1),), None)
     ranked = remaining(refined, [effects.SecondNode(), effects.ConstantOffset()])
     assert ranked.significant[0].names == ("second_node",)
+
+
+@pytest.mark.parametrize(("product", "cells"), [(-0.2, 3), (0.2, None)])
+def test_a_further_form_is_tried_only_where_the_fit_has_left_it_a_place(product, cells):
+    plant = eoi.plant_from_text({"c": "k*(u - c)"}, {"k": 0.5}, ["c"], ["u"], name="vessel")
+    flow = place(plant, Product("u", "y"), 0)
+    stream = augmented(plant, (flow,), {flow.names[0]: -0.2})
+    series = place(stream, effects.CellsInSeries(), 0)
+    whole = augmented(stream, (series,), {}).with_parameters({flow.names[0]: product})
+    time, u = 0.1 * np.arange(200.0), np.repeat([1.0, 0.5, 1.5, 1.0], 50)
+    record = eoi.Record(time, u, u, "run", hold="zero", input_names=["u"], output_names=["c"])
+    judge = Judge.of((record,), plant)
+    base, model = (
+        Judged(refine_once(start, (record,), None, max_steps=0), placed, judge.runs(start))
+        for start, placed in [(plant, ()), (whole, (flow, series))]
+    )
+    following = Search((record,), (record,), judge, (base,))._next_forms(model)
+    assert (following and following[1].effect.cells) == cells
