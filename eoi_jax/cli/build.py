@@ -336,14 +336,13 @@ def _read(
     data: Path | None,
 ) -> list[Record]:
     references = _references(loop)
-    if table.references is None:
-        table = msgspec.structs.replace(table, references=references)
-    assert table.references is not None
     for field, channels, owner in (
         ("inputs", model.inputs, "the plant's"),
         ("outputs", model.outputs, "the plant's"),
         ("references", references, "the reference of [controller],"),
     ):
+        if getattr(table, field) is None:
+            table = msgspec.structs.replace(table, **{field: channels})
         columns = getattr(table, field)
         check(
             len(columns) == len(channels),
@@ -352,6 +351,9 @@ def _read(
             f"{', '.join(channels) or 'none'}",
             ", ".join(columns) or "none",
         )
+    assert table.inputs is not None
+    assert table.outputs is not None
+    assert table.references is not None
     rule = "must be columns that are neither inputs nor outputs"
     shared = {*table.references} & {*table.inputs, *table.outputs}
     advice = "Where plant and controller read the same signal, the file needs it in two columns."
@@ -376,6 +378,8 @@ def _read(
 
 def _read_file(path: Path, table: DataTable, name: str, options: dict[str, Any]) -> Record:
     """A record as a table says; `options` are those of `read_record` that it does not hold."""
+    assert table.inputs is not None
+    assert table.outputs is not None
     assert table.references is not None
     try:
         return read_record(

@@ -347,7 +347,8 @@ class DataTable(msgspec.Struct, frozen=True):
 
     Attributes:
         files: a record each; relative to ``--data``, else to the config, else to $EOI_DATA.
-        inputs, outputs: columns, in the order of the plant's inputs and outputs.
+        inputs, outputs: columns, in the order of the plant's inputs and outputs; default: those
+            that are called as these are, and none for a plant without inputs.
         references: columns of the references of [controller], in their order; default: the columns
             that are called as they are. The plant does not get them.
         time: column of time [s]; omitted with `sample_period` [s].
@@ -365,8 +366,8 @@ class DataTable(msgspec.Struct, frozen=True):
     """
 
     files: Annotated[tuple[str, ...], msgspec.Meta(min_length=1)]
-    inputs: tuple[str, ...]
-    outputs: tuple[str, ...]
+    inputs: tuple[str, ...] | None = None
+    outputs: tuple[str, ...] | None = None
     references: tuple[str, ...] | None = None
     time: str | None = None
     sample_period: Positive | None = None

@@ -382,6 +382,20 @@ def test_a_mistake_about_files_is_named_with_its_rule(
     assert rule in str(failure.value)
 
 
+@pytest.mark.parametrize(
+    ("declared", "inputs", "derivative"), [('inputs = ["u"]', ("u",), "u - a*y"), ("", (), "-a*y")]
+)
+def test_columns_are_by_default_those_that_are_called_as_the_channels(
+    tmp_path: Path, declared: str, inputs: tuple[str, ...], derivative: str
+):
+    table_file(tmp_path / "one.csv")
+    model = f'[model]\noutputs = ["y"]\n{declared}\nparameters = {{ a = 1.0 }}\n'
+    model += f'derivatives = {{ y = "{derivative}" }}\n'
+    data = '[data]\nfiles = ["one.csv"]\ntime = "t"\n'
+    _, (record,) = built(written(tmp_path, f'name = "run"\n{model}{data}'))
+    assert (record.input_names, record.output_names) == (inputs, ("y",))
+
+
 def test_a_config_gives_each_input_its_hold(tmp_path: Path):
     table_file(tmp_path / "one.csv")
     change = "scale = { u = 2.0 }", 'scale = { u = 2.0 }\nhold = { u = "smooth" }'
