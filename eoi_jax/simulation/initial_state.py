@@ -40,6 +40,7 @@ class InitialStateSettings:
     min_reduction: float = 1e-5  # of the squared error, relative: less is 0.02 standard errors
     level: float = 0.005  # of significance, from which on internal states are fitted
     past: float = 1e-3  # share of a level before the record below which a run does not see it
+    turns: int = 3  # in which an output and a difference from it settle: the second is near
 
 
 _SETTINGS = InitialStateSettings()
@@ -212,15 +213,7 @@ def _with_internal(
     cost, values = fit
     going_on = values
     if carried is not None:
-        moved, plant = np.array(starts), heads.run.plant
-        # A difference from an output changes with the output, which starts as measured.
-        with np.errstate(invalid="ignore", over="ignore"):  # of a run that diverges
-            risen = states_of(heads.run, values).y[:, 0] - carried.y[:, 0]
-            z = carried.z - risen @ slope_followers(plant).T
-        usable = opened[internal] & np.all(np.isfinite(z), axis=1, keepdims=True)
-        moved[..., internal] = np.where(usable[:, None], z[:, None], moved[..., internal])
-        carried_fit = _Fit(*_descend(heads, moved, measured))
-        follows = np.isfinite(carried_fit.cost) & np.any(usable, axis=1)
+        carried_fit, follows = _with_carried(heads, starts, measured, opened[internal], carried)
         going_on = np.where(follows[:, None], carried_fit.values, values)
         goes_on = told * carried_fit.cost <= cost
         cost = np.where(goes_on, carried_fit.cost, cost)
@@ -230,6 +223,38 @@ def _with_internal(
     freed_cost, freed_values = _descend(heads, values[:, None], free)
     begun = np.where((freed_cost < told * cost)[:, None], freed_values, values)
     return begun, begun if carried is None else going_on
+
+
+def _with_carried(
+    heads: "_Heads",
+    starts: Trials,
+    measured: Bool[np.ndarray, " unknowns"],
+    opened: Bool[np.ndarray, " nz"],
+    carried: State,
+) -> tuple[_Fit, Bool[np.ndarray, " runs"]]:
+    """Outputs fitted beside the internal states of a longer run, and which runs have such ones.
+
+    A difference from an output changes with where that starts, which is known with these states
+    only: both settle in turn.
+
+    Args:
+        heads: the first samples.
+        starts: of the fit.
+        measured: which unknowns are outputs and their derivatives.
+        opened: which internal states may start at any value.
+        carried: states of the longer run, where each run starts.
+    """
+    falls, moved, z = slope_followers(heads.run.plant), np.array(starts), carried.z
+    first = int(np.sum(measured))
+    internal = slice(first, first + heads.run.internal)
+    for _ in range(_SETTINGS.turns if np.any(falls) else 1):
+        usable = opened & np.all(np.isfinite(z), axis=1, keepdims=True)
+        moved[..., internal] = np.where(usable[:, None], z[:, None], starts[..., internal])
+        fit = _Fit(*_descend(heads, moved, measured))
+        with np.errstate(invalid="ignore", over="ignore"):  # of a run that diverges
+            risen = states_of(heads.run, fit.values).y[:, 0] - carried.y[:, 0]
+            z = carried.z - risen @ falls.T
+    return fit, np.isfinite(fit.cost) & np.any(usable, axis=1)
 
 
 class _Start(NamedTuple):

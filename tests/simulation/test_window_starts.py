@@ -5,6 +5,8 @@ import pytest
 from scipy.linalg import expm
 
 import eoi_jax as eoi
+from eoi_jax import effects
+from eoi_jax.models.augmented import augmented, place
 from eoi_jax.simulation import planned_runs
 from eoi_jax.simulation.validate import judged_runs
 
@@ -123,3 +125,30 @@ def test_records_side_by_side_start_as_each_by_itself(plant, monkeypatch):
     for prediction, alone in zip(together, apart, strict=True):
         np.testing.assert_array_equal(prediction.outputs, alone.outputs)
     assert len(calls) == 1
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_a_difference_from_an_output_goes_on_where_the_output_moves_fast(seed):
+    """Doses of a drug: where a window begins behind one, blood and tissue are far apart.
+
+    Fitted to the first samples without that difference, blood would start far from where it is.
+    """
+    rng = np.random.default_rng(seed)
+    dose = np.zeros(400)
+    for start in range(47, 400, 50):  # of which a sample or two lie before the next window
+        dose[start : start + 4] = rng.uniform(100.0, 300.0)
+    rates = np.array([[-0.35 - 0.8, 0.8], [0.3, -0.3]])
+    step = expm(0.1 * np.block([[rates, np.array([[1.0 / 12.0], [0.0]])], [np.zeros((1, 3))]]))
+    x, y = np.zeros(2), np.zeros(400)
+    for i in range(400):
+        y[i] = x[0]
+        x = step[:2, :2] @ x + step[:2, 2] * dose[i]
+    noise = 0.1
+    y += noise * rng.standard_normal(400)
+    blood = eoi.plant_from_text(
+        {"c": "dose/V - k*c"}, {"V": 12.0, "k": 0.35}, ["c"], ["dose"], name="blood"
+    )
+    tissue = place(blood, effects.SecondNode(), 0)
+    model = augmented(blood, (tissue,), dict(zip(tissue.names, [0.8, 0.3], strict=True)))
+    record = eoi.Record.from_period(0.1, dose, y, hold="zero")
+    assert judged_runs(model, record, initial_samples=8, window=2.5).rmse[0] < 1.2 * noise
