@@ -28,6 +28,7 @@ from functools import cached_property
 
 import numpy as np
 
+from eoi_jax.data.holds import SETTINGS
 from eoi_jax.data.record import Record
 from eoi_jax.discovery.additions import has_size
 from eoi_jax.discovery.judge import (
@@ -569,10 +570,29 @@ def _made_best(searches: Sequence[Search], search: Search, best: Judged) -> tupl
     variants = [variant for variant in searches if variant is not search]
     for variant in variants if search.further(best) else ():
         model = best.refinement.plant, best.placed
-        trial = _best(_over_both(*model, variant.searched, variant.judge))
-        if trial is not None and variant.judge.needs(trial, best):
+        trials = _over_both(*model, variant.searched, variant.judge)
+        trial = _best(trials)
+        if trial is not None and (
+            variant.judge.needs(trial, best) or _fits_better(trials, best, variant)
+        ):
             pairs.append((variant, variant.leanest(trial)))
     return min(pairs, key=lambda pair: pair[1].error)
+
+
+def _fits_better(trials: Sequence[Judged], best: Judged, variant: Search) -> bool:
+    """Whether a model fits records made in another way better by more than chance, and predicts so.
+
+    Its parameters are the same ones, so that the likelihood of all samples decides: a hold that is
+    wrong by half a sample may raise errors by half a hundredth, and make a time constant a third
+    too small.
+    """
+    alike = [trial for trial in trials if trial.refinement.window == best.refinement.window]
+    gains = [
+        _count(variant.searched) * (best.refinement.cost - trial.refinement.cost)
+        for trial in alike
+        if trial.error < best.error
+    ]
+    return max(gains, default=0.0) > SETTINGS.evidence
 
 
 def _repeated(present: Sequence[Placed], placed: Sequence[Placed]) -> bool:

@@ -114,7 +114,7 @@ def with_best_hold(
     for hold in alternatives:
         fits[hold] = _refitted(best.answer, with_hold(records, hold), indices)
     trials = [best]
-    for hold in _worth_a_search(best, fits, records[0].input_names):
+    for hold in _worth_a_search(best, fits):
         trials.append(searched(hold))
         fits[hold] = trials[-1].fit
     best = _best(trials)
@@ -160,7 +160,8 @@ def with_held_inputs(
         return discovery
     names, period = records[0].input_names, records[0].sample_period
     delays, words = _stand_ins(discovery), hold_of_each(discovery.held_out[0].hold, len(names))
-    half_samples = [abs(delays.get(name, 0.0) / period - 0.5) < _RULES.half for name in names]
+    late_by = [delays.get(name, 0.0) / period for name in discovery.declared.nominal.inputs]
+    half_samples = [abs(late - 0.5) < _RULES.half for late in late_by]
     zeros = ["zero" if late else word for late, word in zip(half_samples, words, strict=True)]
     if zeros == list(words):
         return discovery
@@ -180,16 +181,14 @@ def with_held_inputs(
     return replace(rival, notes=(text, *rival.notes))
 
 
-def _worth_a_search(
-    best: _Trial, fits: dict[Hold, Identification], names: Sequence[str]
-) -> list[Hold]:
+def _worth_a_search(best: _Trial, fits: dict[Hold, Identification]) -> list[Hold]:
     """Holds with which the search may give another answer, in the order of the fits.
 
     Args:
         best: the search with the first of the holds.
         fits: of its final model with each hold.
-        names: of the inputs.
     """
+    names = best.answer.declared.nominal.inputs
     first, *alternatives = fits
     powers = {}
     for hold in alternatives:  # in pairs: of all at once few samples may be scored by each
@@ -211,12 +210,16 @@ def _worth_a_search(
 
 
 def _stand_ins(answer: Discovery) -> dict[str, float]:
-    """Times of delays and lags that a hold or a skew may explain, by input [s]."""
-    return {
-        added.output: sum(added.parameters.values())
+    """Times of delays and lags that a hold or a skew may explain, by the plant's input [s].
+
+    Of a response to the rate of an input the lag less the lead.
+    """
+    times = {
+        added.output: tuple(added.parameters.values())
         for added in answer.added
         if added.effect.name in _RULES.stand_ins
     }
+    return {name: lag - sum(leads) for name, (*leads, lag) in times.items()}
 
 
 def _best(trials: Sequence[_Trial]) -> _Trial:
@@ -251,7 +254,7 @@ def _possible_skews(best: _Trial, records: Records, indices: HoldIndices) -> lis
         return [] if skew is None else [skew]
     if max(periods.values()) > _RULES.longest * period:
         return []
-    names = records[0].input_names
+    names = best.answer.declared.nominal.inputs
     delays = np.asarray([periods.get(name, 0.0) for name in names])
     makings = [(best.hold, delays)]
     is_held = np.asarray(held_inputs(best.hold, len(names)))

@@ -353,8 +353,8 @@ class HoldRules:
 
     Attributes:
         same: relative difference of their indices that counts as none.
-        stand_ins: effects that a wrong hold or a skew takes the shape of; their parameter is a
-            time.
+        stand_ins: effects that a wrong hold or a skew takes the shape of; their last parameter is
+            a time by which the input acts later, one before it a lead.
         longest: such time that may be one of the logger [sample periods]: a skew of one, and half
             a one between what was held and what goes on.
         shortest: skew that is told from none [sample periods].
@@ -368,7 +368,7 @@ class HoldRules:
     same: float = 0.02
     better: float = 5e-3
     searches: int = 2
-    stand_ins: tuple[str, ...] = ("input_delay", "actuator_lag")
+    stand_ins: tuple[str, ...] = ("input_delay", "actuator_lag", "input_rate")
     longest: float = 1.5
     shortest: float = 0.02
     half: float = 0.15

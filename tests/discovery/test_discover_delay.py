@@ -1,15 +1,20 @@
 """Dead times far beyond the band's period, and with a lag behind them; rigs of their own."""
 
+from dataclasses import replace
 from functools import cache
 
 import numpy as np
 import pytest
+from found import discovery
 from scipy.integrate import solve_ivp
 
 import eoi_jax as eoi
+from eoi_jax import effects
 from eoi_jax.discovery.cosine_modes import modal_record, model_rows
+from eoi_jax.discovery.hold_choice import _stand_ins
 from eoi_jax.discovery.lags import lags
 from eoi_jax.discovery.noise_spectrum import fitted_power, local_power
+from eoi_jax.discovery.result import Added
 
 PERIOD, FINE = 5e-3, 5
 
@@ -85,7 +90,7 @@ def test_lags_are_where_a_residual_follows_the_input_and_nowhere_else():
     assert len(lags(DECLARED, [one], 0.0 * noise, power, 0)) == 0
 
 
-def driven_slowly(seed, count=60, period=0.5):
+def driven_slowly(seed, column, count=60, period=0.5):
     """v' = u - 0.3 v - 0.2 v |v|, with an input in steps of six samples and its hold unsaid."""
     draw = np.random.default_rng(seed)
     push = np.repeat(np.abs(draw.uniform(-3.0, 3.0, count // 6 + 1)), 6)[:count]
@@ -97,18 +102,28 @@ def driven_slowly(seed, count=60, period=0.5):
             rtol=1e-9,
         ).y[0, -1]  # fmt: skip
     v += 1e-2 * np.std(v) * draw.standard_normal(count)
-    return eoi.Record(period * np.arange(count), push, v, input_names="push", output_names="v")
+    return eoi.Record(period * np.arange(count), push, v, input_names=column, output_names="v")
 
 
 @pytest.mark.slow
-def test_half_a_sample_of_delay_is_a_hold():
+@pytest.mark.parametrize("column", ["push", "force command [N]"])
+def test_half_a_sample_of_delay_is_a_hold(column):
     """The injection has no law for such drag, and a delay with two other effects explains it."""
     plant = eoi.Plant(
         lambda t, x, u, p: p.b * u[0] - p.a * x.y[0], {"b": 0.8, "a": 0.5}, 1, ("push",), ("v",)
     )
-    found = eoi.discover(plant, driven_slowly(1), validation=driven_slowly(2))
+    found = eoi.discover(plant, driven_slowly(1, column), validation=driven_slowly(2, column))
     assert "input_delay" not in found.effects
     assert found.held_out[0].hold == "zero"
     assert found.status.code == "complete"
     assert len(found.effects) == 1
     assert any("half a sample of delay" in note for note in found.notes)
+
+
+@pytest.mark.parametrize(("lead", "late"), [(-0.25, 0.3), (0.4, -0.35)])
+def test_what_follows_the_rate_of_an_input_stands_for_a_delay_by_its_lag_less_its_lead(lead, late):
+    """Half a sample of lead that is negative, with hardly any lag, is a hold as well."""
+    answer = discovery()
+    name, times = answer.plant.inputs[0], {"lead": lead, "lag": 0.05}
+    added = Added(effects.InputRate(), name, times, times, "a response")
+    assert _stand_ins(replace(answer, added=(added,))) == {name: pytest.approx(late)}

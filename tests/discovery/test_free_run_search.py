@@ -300,6 +300,35 @@ def test_the_hold_is_chosen_again_for_the_answer():
     assert free_run_search._made_best([linear, zero], linear, linear.base)[0] is linear
 
 
+def weather(seed, hold, tau=1.75, count=2500):
+    """What goes on between samples, and a body that follows it within two of them, exactly."""
+    rng = np.random.default_rng(seed)
+    rates, phases = rng.uniform(0.02, 0.2, 6), rng.uniform(0.0, 6.0, 6)
+    time = np.arange(float(count))
+    waves = np.exp(1j * (np.outer(time, rates) + phases))
+    u, y = waves.sum(1).imag, (waves / (1.0 + 1j * rates * tau)).sum(1).imag + 0.3 * tau
+    record = eoi.Record(time, u, y + 0.2 * rng.standard_normal(count), f"{seed}")
+    return record.with_hold(hold)
+
+
+def test_a_hold_that_fits_a_little_better_by_more_than_chance_is_that_of_the_answer():
+    """Held for half a sample too long, a slow input makes the body faster, and fits nearly alike."""
+    body = eoi.plant_from_text({"y": "(u - y)/tau"}, {"tau": 1.5}, ["y"], ["u"], name="body")
+    judge = Judge.of((weather(2, "linear"),), body)
+    assert judge is not None
+    searches = []
+    for hold in ("zero", "linear"):
+        judging = replace(judge, records=(weather(2, hold),))
+        searches.append(Search.begun([body], (weather(1, hold),), judging))
+    zero, linear = searches
+    best = with_effect(zero, effects.ConstantOffset(), zero.base, [0.3])
+    assert best.refinement.parameters["tau"] < 0.85 * 1.75
+    search, answer = free_run_search._made_best(searches, zero, best)
+    assert search is linear
+    assert answer.error > best.error - 0.03
+    assert answer.refinement.parameters["tau"] == pytest.approx(1.75, rel=0.03)
+
+
 @pytest.mark.parametrize(("degree", "count"), [(1, 13), (2, 24), (3, 36)])
 def test_windows_of_short_records_give_a_start_with_velocities(degree, count):
     """Twelve samples for each derivative from zero on, a third of which are the start."""
