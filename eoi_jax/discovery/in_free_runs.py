@@ -43,10 +43,13 @@ from eoi_jax.models.augmented import Placed, added_effects
 from eoi_jax.models.effects import (
     PRODUCTS,
     AbstractInternalEffect,
+    ConstantOffset,
     Curve,
     Drift,
     InputCurve,
     InputProduct,
+    Leak,
+    Overflow,
     Product,
     SinusoidalDisturbance,
 )
@@ -62,7 +65,8 @@ def leaves_open(discovery: Discovery) -> bool:
     """Whether free runs are searched: without an answer, or with one that may stand in for another.
 
     Also where the injection lacks nothing, and free runs miss by more than noise. A disturbance in
-    time may stand in for what the library lacks. Only records that are held out can judge, and the
+    time may stand in for what the library lacks, and a straight loss with a kink for one that
+    bends, which the injection does not try. Only records that are held out can judge, and the
     score test of free runs knows no outputs that are functions of the states. Effects that explain
     all but have no free run would be stood in for by others.
     """
@@ -74,6 +78,7 @@ def leaves_open(discovery: Discovery) -> bool:
     in_time = any(
         isinstance(addition.effect, Drift | SinusoidalDisturbance) for addition in discovery.added
     )
+    doubtful = in_time or _is_kinked_line(discovery.added)
     if code == "nothing_missing":
         runs = discovery.windows_after or discovery.after
         if runs is None or np.all(runs.nrmse < _RULES.small):
@@ -81,7 +86,16 @@ def leaves_open(discovery: Discovery) -> bool:
         # What is read as noise off a few samples may be motion.
         lost = bool(np.any(runs.nrmse > _RULES.useless))
         return lost or bool(beyond_noise(runs, discovery.held_out))
-    return code == "unexplained" or (code == "complete" and in_time)
+    return code == "unexplained" or (code == "complete" and doubtful)
+
+
+def _is_kinked_line(added: Sequence[Added]) -> bool:
+    """Whether an overflow stands beside an offset or a leak of the same output: a bent loss."""
+    kinked, straight = (
+        {item.output for item in added if isinstance(item.effect, kinds)}
+        for kinds in (Overflow, ConstantOffset | Leak)
+    )
+    return bool(kinked & straight)
 
 
 def with_free_runs(

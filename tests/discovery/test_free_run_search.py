@@ -312,7 +312,7 @@ def weather(seed, hold, tau=1.75, count=2500):
 
 
 def test_a_hold_that_fits_a_little_better_by_more_than_chance_is_that_of_the_answer():
-    """Held for half a sample too long, a slow input makes the body faster, and fits nearly alike."""
+    """Held for half a sample too long, a slow input makes the body faster, and fits as well."""
     body = eoi.plant_from_text({"y": "(u - y)/tau"}, {"tau": 1.5}, ["y"], ["u"], name="body")
     judge = Judge.of((weather(2, "linear"),), body)
     assert judge is not None

@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from found import discovery
 
 import eoi_jax as eoi
 from eoi_jax import effects
@@ -17,6 +18,7 @@ from eoi_jax.discovery.in_free_runs import (
     with_further_effects,
 )
 from eoi_jax.discovery.remainder import partial_where_more_is_left
+from eoi_jax.discovery.result import Added
 from eoi_jax.models.augmented import augmented, place
 from eoi_jax.models.effects import Curve, Product
 
@@ -161,3 +163,19 @@ def test_what_is_questioned(found):
     assert leaves_more(replace(found, windows_after=runs))
     small = replace(runs, nrmse=np.array([0.002]))
     assert not leaves_more(replace(found, windows_after=small))
+
+
+@pytest.mark.parametrize(
+    ("laws", "doubted"),
+    [
+        ((effects.Overflow(), effects.ConstantOffset()), True),
+        ((effects.Leak(), effects.Overflow()), True),
+        ((effects.Overflow(),), False),
+        ((effects.Leak(), effects.ConstantOffset()), False),
+    ],
+)
+def test_a_kink_beside_a_straight_loss_may_stand_for_a_loss_that_bends(laws, doubted):
+    answer = discovery()
+    added = tuple(Added(law, "position", {}, {}, "") for law in laws)
+    complete = replace(answer, added=added, status=Status("complete", ""), in_sample=False)
+    assert leaves_open(complete) == doubted
