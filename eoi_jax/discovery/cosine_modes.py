@@ -128,6 +128,19 @@ class ModalRecord:
         return modes[..., self.indices] * np.sqrt(self.sample_period / len(self.kernel))
 
 
+def motion(record: ModalRecord, j: int, degree: int) -> Rows:
+    """Modes of y^(r) of output j; of relative degree 0 those of y without its mean.
+
+    What a model may miss by is measured by how far an output moves, not by its level: that of a
+    battery is a hundred times as large.
+    """
+    highest = record.highest[j]
+    if degree == 0:
+        level = thinned(np.ones_like(record.weight[j]), record.weight[j], record.kernel)
+        highest = highest - level * np.sum(highest) / max(np.sum(level), np.finfo(float).tiny)
+    return record.rows(highest)
+
+
 def modal_record(plant: Plant, record: Record, band: float) -> ModalRecord:
     """A record prepared for modes up to `band` [rad/s].
 

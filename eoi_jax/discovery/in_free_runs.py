@@ -86,7 +86,7 @@ def leaves_open(discovery: Discovery) -> bool:
         # What is read as noise off a few samples may be motion.
         lost = bool(np.any(runs.nrmse > _RULES.useless))
         return lost or bool(beyond_noise(runs, discovery.held_out))
-    return code == "unexplained" or (code == "complete" and doubtful)
+    return code in ("unexplained", "no_data") or (code == "complete" and doubtful)
 
 
 def _is_kinked_line(added: Sequence[Added]) -> bool:

@@ -10,7 +10,7 @@ from jaxtyping import Float
 
 from eoi_jax.data.record import Record
 from eoi_jax.discovery.candidates import CandidateColumns, Seen, atoms, seen_at
-from eoi_jax.discovery.cosine_modes import ModalRecord, modal_record, model_rows
+from eoi_jax.discovery.cosine_modes import ModalRecord, modal_record, model_rows, motion
 from eoi_jax.discovery.lags import Peak, lags, strongest
 from eoi_jax.discovery.noise_spectrum import fitted_power, local_power
 from eoi_jax.discovery.regression import Base, Fit, fitted, settled
@@ -258,8 +258,8 @@ def base_of(model: Plant, stretches: Sequence[ModalRecord]) -> Base:
     smallest, largest = step_room(theta, lower, upper, step_scales(model))
     parts, noise, output = [], [], []
     for record in stretches:
-        for j in range(len(model.outputs)):
-            parts.append(local_power(record.rows(record.highest[j])))
+        for j, degree in enumerate(model.degrees):
+            parts.append(local_power(motion(record, j, degree)))
             noise.append(record.noise[:, j])
             output.append(np.full(len(record.omega), j))
     return Base(

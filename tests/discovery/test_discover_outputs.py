@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from output_cases import BATTERY, accelerometer, battery, battery_record, current, mixed, shaken
 from scipy.linalg import expm
+from scipy.signal import lfilter
 
 from eoi_jax.comparators import (
     PlainExplicit,
@@ -15,6 +16,7 @@ from eoi_jax.comparators import (
     VSSDirect,
 )
 from eoi_jax.data.record import Record
+from eoi_jax.discovery.cosine_modes import modal_record, motion
 from eoi_jax.discovery.diagnose import diagnose
 from eoi_jax.discovery.discover import discover
 from eoi_jax.estimation.defaults import output_noise
@@ -155,6 +157,27 @@ def test_a_pair_that_the_cell_lacks_is_found():
     assert values["relaxation_gain"] == pytest.approx(BATTERY["R1"], rel=0.03)
     assert values["relaxation_time"] == pytest.approx(BATTERY["R1"] * BATTERY["C1"], rel=0.03)
     assert values["R0"] == pytest.approx(BATTERY["R0"], rel=0.03)
+
+
+@pytest.mark.slow
+def test_a_pair_that_is_small_beside_the_level_of_the_voltage_is_found():
+    """A hundredth of the voltage is a tenth of what it moves by."""
+    decay, records = np.exp(-1.0 / 180.0), []
+    for seed in (1, 2, 3):
+        record = cell_record(seed)
+        behind = lfilter([0.0, 1.0 - decay], [1.0, -decay], record.inputs[:, 0])
+        records.append(record.with_outputs(record.outputs - 0.03 * behind[:, None], record.name))
+    found = discover(battery(**START), records[:2], records[2])
+    assert (found.status.code, found.effects) == ("complete", ("relaxation",))
+    assert found.plant.parameters["relaxation_gain"] == pytest.approx(0.03, rel=0.05)
+    assert found.plant.parameters["relaxation_time"] == pytest.approx(180.0, rel=0.1)
+
+
+def test_what_an_output_moves_by_has_nothing_to_do_with_its_level():
+    plant, record = battery(**START), cell_record(1)
+    raised = record.with_outputs(record.outputs + 100.0, "raised")
+    moving = [motion(modal_record(plant, part, 0.5), 0, 0) for part in (record, raised)]
+    np.testing.assert_allclose(*moving, rtol=1e-6, atol=1e-9)
 
 
 def test_effects_of_a_state_have_no_place_on_such_an_output():

@@ -179,3 +179,10 @@ def test_a_kink_beside_a_straight_loss_may_stand_for_a_loss_that_bends(laws, dou
     added = tuple(Added(law, "position", {}, {}, "") for law in laws)
     complete = replace(answer, added=added, status=Status("complete", ""), in_sample=False)
     assert leaves_open(complete) == doubted
+
+
+@pytest.mark.parametrize("in_sample", [False, True])
+def test_a_model_without_an_estimate_is_searched_in_free_runs_where_records_are_held_out(in_sample):
+    """Where noise hides the motion from the passes, free runs may show it."""
+    hidden = replace(discovery(), status=Status("no_data", ""), added=(), in_sample=in_sample)
+    assert leaves_open(hidden) != in_sample
