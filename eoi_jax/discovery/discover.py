@@ -56,7 +56,7 @@ from eoi_jax.estimation.identify import declared_index, estimate
 from eoi_jax.estimation.lowpass import LowPass
 from eoi_jax.estimation.preparation import PreparedRecords, prepare_records
 from eoi_jax.models.check_records import check_records
-from eoi_jax.models.effects import couplings, input_products, rare, wider
+from eoi_jax.models.effects import couplings, input_actions, input_products, rare, wider
 from eoi_jax.models.effects.effect import AbstractEffect
 from eoi_jax.models.plant import Plant
 
@@ -86,9 +86,9 @@ def discover(
         validation: records that the fit does not see, for the errors before and after; or the
             share of each record that is held out at its end. Without them the errors are those on
             `records`, and the answer says so.
-        effects: to try, as names or objects; by default all of `eoi_jax.effects.standard()`, and
-            where these leave the residual unexplained `eoi_jax.effects.rare()` and, with several
-            outputs, `eoi_jax.effects.couplings(plant)` beside them.
+        effects: to try, as names or objects; by default all of `eoi_jax.effects.standard()` and
+            actions of inputs that no equation has; where these leave the residual unexplained,
+            beside them `eoi_jax.effects.rare()`, `couplings(plant)` and `input_actions(plant)`.
         lowpass: F of the fits; chosen from the records if left out.
         alpha: level of false alarms: the chance that a model which lacks nothing gets an effect.
         most: effects that one round of the search may add at most.
@@ -123,7 +123,11 @@ def discover(
         )
     held_out = held_out_records(plant, fit_records, validation)
     tried_effects = requested(plant, [effects] if isinstance(effects, str) else effects)
-    rare_effects = (*rare(), *couplings(plant)) if effects is None else ()
+    of_plant = (
+        *couplings(plant),
+        *(each for each in input_actions(plant) if each not in tried_effects),
+    )
+    rare_effects = (*rare(), *of_plant) if effects is None else ()
     fitting = names_with_place(plant, tried_effects)
     check(0.0 < real(alpha) < 1.0, "alpha", "must lie in (0, 1)", alpha, "0.01 is a common choice.")
     most = check_count("most", most)
@@ -192,9 +196,9 @@ class _Search:
             held_out: that judge, as given.
         """
         discovery, start = searched.discovery, min(float(record.time[0]) for record in records)
-        of_plant = input_products(self.plant) + couplings(self.plant)
+        of_plant = input_products(self.plant) + couplings(self.plant) + input_actions(self.plant)
         further = () if self.named else (*wider(), *of_plant)
-        effects = [effect.since(start) for effect in (*self.effects, *further)]
+        effects = [effect.since(start) for effect in dict.fromkeys((*self.effects, *further))]
         if leaves_more(discovery):
             discovery = unless_refined_is_better(discovery, records)
         is_open = leaves_open(discovery)

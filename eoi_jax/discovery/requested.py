@@ -2,11 +2,15 @@
 
 from collections.abc import Sequence
 
+import numpy as np
+
 from eoi_jax._checks import check, check_choice, check_kind
 from eoi_jax.discovery.result import Discovery
 from eoi_jax.models.effects import (
     Coupling,
+    InputAction,
     couplings,
+    input_actions,
     input_products,
     on_request,
     standard,
@@ -15,20 +19,26 @@ from eoi_jax.models.effects import (
 from eoi_jax.models.effects.effect import AbstractCascade, AbstractEffect
 from eoi_jax.models.placements import placements
 from eoi_jax.models.plant import Plant
+from eoi_jax.models.used_inputs import used_inputs
 
 
 def requested(
     plant: Plant, effects: Sequence[AbstractEffect | str] | None
 ) -> tuple[AbstractEffect, ...]:
-    """The effects by name or as objects; the standard ones for None."""
+    """The effects by name or as objects.
+
+    For None the standard ones, and actions of the inputs that no equation of the plant has.
+    """
     if effects is None:
-        return standard()
-    of_plant = input_products(plant) + couplings(plant)
+        used = np.any(used_inputs(plant), axis=0)
+        idle = (each for each in input_actions(plant) if not used[each.signals[0].column])
+        return (*standard(), *idle)
+    of_plant = input_products(plant) + couplings(plant) + input_actions(plant)
     library = (*standard(), *wider(), *on_request(), *of_plant)
     check_kind("effects", effects, Sequence, "a list of names or effects")
     check(len(effects) > 0, "effects", "must name at least one effect", "none")
     chosen: list[AbstractEffect] = []
-    names = sorted({effect.name for effect in library} | {Coupling.name})
+    names = sorted({effect.name for effect in library} | {Coupling.name, InputAction.name})
     for effect in effects:
         if isinstance(effect, str):
             check_choice("effects", effect, names)

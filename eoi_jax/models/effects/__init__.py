@@ -52,8 +52,10 @@ from eoi_jax.models.effects.outflow import PowerLoss as PowerLoss
 from eoi_jax.models.effects.outflow import Radiation as Radiation
 from eoi_jax.models.effects.outflow import SaturatingLoss as SaturatingLoss
 from eoi_jax.models.effects.products import PRODUCTS as PRODUCTS
+from eoi_jax.models.effects.products import InputAction as InputAction
 from eoi_jax.models.effects.products import InputProduct as InputProduct
 from eoi_jax.models.effects.products import Product as Product
+from eoi_jax.models.effects.products import input_actions as input_actions
 from eoi_jax.models.effects.products import input_products as input_products
 from eoi_jax.models.effects.series import CellsInSeries as CellsInSeries
 from eoi_jax.models.effects.series import SensorLag as SensorLag

@@ -11,6 +11,7 @@ import jax.numpy as jnp
 from eoi_jax.models.effects.effect import AbstractTerm, At, Parameter
 from eoi_jax.models.effects.signals import AbstractSignalProduct, signals_of
 from eoi_jax.models.plant import Plant
+from eoi_jax.models.used_inputs import used_inputs
 
 
 @dataclass(frozen=True)
@@ -79,6 +80,26 @@ class InputProduct(AbstractSignalProduct):
         return local and super().fits(plant, output)
 
 
+class InputAction(AbstractSignalProduct):
+    """a u: an input acts on an output whose equation does not have it.
+
+    The sun on a room, a second pump, the speed of the wind: it was recorded, and left out.
+
+    Attributes:
+        signals: one input of the plant.
+    """
+
+    name = "input_action"
+    sentence = "an action of an input that its equation does not have"
+    depends_on = "t"
+    rarity = 1.0  # an input that hardly moves does what an offset does
+
+    def fits(self, plant: Plant, output: int) -> bool:
+        """Where neither the equation of the output nor that of an internal state has the input."""
+        (signal,) = self.signals
+        return super().fits(plant, output) and not used_inputs(plant)[output, signal.column]
+
+
 # Both name no cause.
 PRODUCTS = (Product, InputProduct)
 
@@ -95,6 +116,21 @@ def input_products(plant: Plant) -> tuple[InputProduct, ...]:
     outputs, inputs = signals_of(plant)
     driven = itertools.product(inputs[1:], outputs)
     return tuple(map(InputProduct, (*driven, *itertools.combinations(inputs, 2))))
+
+
+def input_actions(plant: Plant) -> tuple[InputAction, ...]:
+    """Actions of the inputs of a plant, for each that the equation of some output does not have.
+
+    Args:
+        plant: a model; where each of its equations has all inputs there are none.
+
+    Returns:
+        One object for each input; `InputAction.fits` tells at which outputs it may act.
+    """
+    _, inputs = signals_of(plant)
+    actions = (InputAction((signal,)) for signal in inputs)
+    outputs = range(len(plant.outputs))
+    return tuple(each for each in actions if any(each.fits(plant, j) for j in outputs))
 
 
 @dataclass(frozen=True)

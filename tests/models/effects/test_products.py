@@ -83,3 +83,51 @@ def test_heat_that_a_stream_carries_out_is_found(inputs):
     (value,) = found.added[0].parameters.values()
     assert value == pytest.approx(-RATE, rel=2e-3)
     assert found.status.code == "complete"
+
+
+def test_an_input_acts_where_no_equation_has_it():
+    plant = eoi.plant_from_text(
+        {"x": "p - a*x + 0*r", "y": "q*y - z", "z": "s - z"}, {"a": 1.0}, ["x", "y"],
+        ["p", "q", "r", "s"], initial={"z": 0.0},
+    )  # fmt: skip
+    forms = {(plant.outputs[placed.channel], placed.effect.form)
+             for placed in placements(plant, effects.input_actions(plant))}  # fmt: skip
+    assert forms == {("x", "q"), ("x", "r"), ("y", "p"), ("y", "r")}
+    assert effects.input_actions(plants.pendulum()) == ()
+
+
+def test_an_action_adds_a_multiple_of_its_input():
+    plant = vessel(("lamp", "flow"))
+    (lamp,) = placements(plant, effects.input_actions(plant))
+    assert lamp.names == ("input_action_lamp",)
+    warmer = augmented(plant, [lamp], {"input_action_lamp": 0.5})
+    args = jnp.zeros(()), eoi.State(jnp.array([[30.0]]), jnp.zeros(0)), jnp.array([2.0, 3.0])
+    values = [model.derivative(*args, jnp.asarray(model.theta))[0] for model in (plant, warmer)]
+    assert values[1] - values[0] == pytest.approx(1.0)
+
+
+def sunny(seed, samples=600):
+    """T' = heat + 0.4·sun - 0.02·(T - 5), held inputs: exact between its samples."""
+    draw = np.random.default_rng(seed)
+    heat, sun = (np.repeat(draw.uniform(0.0, 1.0, samples // n), n) for n in (20, 15))
+    y, level = np.empty(samples), 20.0
+    for k in range(samples):
+        y[k] = level
+        end = (heat[k] + 0.4 * sun[k] + 0.02 * 5.0) / 0.02
+        level = end + (level - end) * np.exp(-0.02 * H)
+    y += 2e-3 * np.std(y) * draw.standard_normal(samples)
+    names = {"input_names": ("heat", "sun"), "output_names": ("T",)}
+    return eoi.Record(
+        H * np.arange(samples), np.stack([heat, sun], axis=1), y, hold="zero", **names
+    )
+
+
+@pytest.mark.slow
+def test_an_input_that_the_model_leaves_out_is_found():
+    room = eoi.plant_from_text(
+        {"T": "g*heat - k*(T - T0)"}, {"g": 0.7, "k": 0.03, "T0": 8.0}, ["T"], ["heat", "sun"]
+    )
+    found = eoi.discover(room, sunny(1), validation=sunny(2))
+    assert (found.status.code, found.effects) == ("complete", ("input_action",))
+    assert found.plant.parameters["input_action_sun"] == pytest.approx(0.4, rel=0.02)
+    assert found.plant.parameters["T0"] == pytest.approx(5.0, rel=0.05)
