@@ -125,7 +125,7 @@ def discover(
     tried_effects = requested(plant, [effects] if isinstance(effects, str) else effects)
     of_plant = (
         *couplings(plant),
-        *(each for each in input_actions(plant) if each not in tried_effects),
+        *(action for action in input_actions(plant) if action not in tried_effects),
     )
     rare_effects = (*rare(), *of_plant) if effects is None else ()
     fitting = names_with_place(plant, tried_effects)

@@ -586,10 +586,10 @@ def _fits_better(trials: Sequence[Judged], best: Judged, variant: Search) -> boo
     wrong by half a sample may raise errors by half a hundredth, and make a time constant a third
     too small.
     """
-    alike = [trial for trial in trials if trial.refinement.window == best.refinement.window]
+    comparable = [trial for trial in trials if trial.refinement.window == best.refinement.window]
     gains = [
         _count(variant.searched) * (best.refinement.cost - trial.refinement.cost)
-        for trial in alike
+        for trial in comparable
         if trial.error < best.error
     ]
     return max(gains, default=0.0) > SETTINGS.evidence

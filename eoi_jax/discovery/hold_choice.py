@@ -160,8 +160,8 @@ def with_held_inputs(
         return discovery
     names, period = records[0].input_names, records[0].sample_period
     delays, words = _stand_ins(discovery), hold_of_each(discovery.held_out[0].hold, len(names))
-    late_by = [delays.get(name, 0.0) / period for name in discovery.declared.nominal.inputs]
-    half_samples = [abs(late - 0.5) < _RULES.half for late in late_by]
+    samples = [delays.get(name, 0.0) / period for name in discovery.declared.nominal.inputs]
+    half_samples = [abs(delay - 0.5) < _RULES.half for delay in samples]
     zeros = ["zero" if late else word for late, word in zip(half_samples, words, strict=True)]
     if zeros == list(words):
         return discovery

@@ -31,7 +31,7 @@ def requested(
     """
     if effects is None:
         used = np.any(used_inputs(plant), axis=0)
-        idle = (each for each in input_actions(plant) if not used[each.signals[0].column])
+        idle = (action for action in input_actions(plant) if not used[action.signals[0].column])
         return (*standard(), *idle)
     of_plant = input_products(plant) + couplings(plant) + input_actions(plant)
     library = (*standard(), *wider(), *on_request(), *of_plant)

@@ -130,7 +130,7 @@ def input_actions(plant: Plant) -> tuple[InputAction, ...]:
     _, inputs = signals_of(plant)
     actions = (InputAction((signal,)) for signal in inputs)
     outputs = range(len(plant.outputs))
-    return tuple(each for each in actions if any(each.fits(plant, j) for j in outputs))
+    return tuple(action for action in actions if any(action.fits(plant, j) for j in outputs))
 
 
 @dataclass(frozen=True)
