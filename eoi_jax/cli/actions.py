@@ -39,6 +39,7 @@ from eoi_jax.estimation.identify import Identification
 from eoi_jax.estimation.identify import identify as run_passes
 from eoi_jax.refinement.refine import refine as run_refinement
 from eoi_jax.refinement.result import Refinement
+from eoi_jax.refinement.windowed import worse
 from eoi_jax.report.discovery import answer, discovery_text
 from eoi_jax.report.sweep import sweep_text
 from eoi_jax.report.tables import identification_text, refinement_text
@@ -53,6 +54,10 @@ _UNDETERMINED = (
     "Use a model with fewer parameters, or of a lower order, or records with more excitation"
 )
 # Statuses of passes whose estimate is refined as it is.
+_LOST = (
+    "free runs of the estimate predict {} of the held-out records worse than a constant: do not "
+    "trust it. `eoi refine` fits free runs, from the nominal values too where these are better"
+)
 _ENDED = ("converged", "undersampled")
 # Statuses of a discovery whose results are written.
 _ANSWERS = ("complete", "partial", "nothing_missing", "unexplained")
@@ -90,6 +95,10 @@ def identify(
     notes = [*_example_notes(config), *_hold_notes(job.settings), *_unseen_notes(job)]
     if job.loop is not None and validation is None:
         notes.append(_NOT_IN_LOOP.format("passes, and there is no free run on held-out records"))
+    if result.status.ok and validation is not None:
+        names = zip(validation.outputs, validation.nrmse, strict=True)
+        if lost := [name for name, error in names if error > 1.0]:
+            notes.append(_LOST.format(" and ".join(lost)))
     result = replace(result, notes=(*result.notes, *notes))
     if result.status.ok and not _determined(result):
         result = replace(result, status=Status("undetermined", _UNDETERMINED))
@@ -533,7 +542,8 @@ def _refine(
     """Refine the estimate of the passes by output error, and validate the result.
 
     Where the passes have no estimate the nominal values are refined; both are where the passes did
-    not come to an end, and the better fit of the two is the answer.
+    not come to an end, or to one whose free runs are worse than those of the nominal values, and
+    the better fit of the two is the answer.
     """
     table = job.settings.refine
 
@@ -545,7 +555,8 @@ def _refine(
     records, held_out = (loop or job).records, (loop or job).held_out
     if start.status.ok:
         begin["estimate of the passes"] = start.plant
-    if start.status.code not in _ENDED:
+    refuted = start.status.ok and loop is None and _is_refuted(start)
+    if start.status.code not in _ENDED or refuted:
         begin["nominal values"] = start.nominal
     fits = {
         name: run_refinement(
@@ -568,7 +579,18 @@ def _refine(
     if start.status.code not in _ENDED:
         note = f"refined from the {name}: the passes ended as {start.status.code}"
         result = replace(result, notes=(*result.notes, note))
+    elif refuted:
+        note = f"refined from the {name}: free runs of the estimate of the passes are worse"
+        result = replace(result, notes=(*result.notes, f"{note} than those of the nominal values"))
     return result, _validate(result, job)
+
+
+def _is_refuted(start: Identification) -> bool:
+    """Whether an estimate of the passes simulates its own records worse than the nominal values.
+
+    Noise that hides the motion, or a pole of the equations between the two, leads passes astray.
+    """
+    return worse(*validated_alike((start.nominal, start.plant), start.records))
 
 
 def _validate(result: Identification | Refinement, job: run_folder.Job) -> Validation | None:

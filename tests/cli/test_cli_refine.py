@@ -10,6 +10,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from found import discovery
+from scipy.integrate import solve_ivp
 from typer.testing import CliRunner
 
 import eoi_jax as eoi
@@ -219,6 +221,62 @@ def test_nominal_values_are_refined_where_the_passes_do_not_end(config: Path, tm
     assert result["parameters"]["T"] == pytest.approx(3.0, rel=0.01)
     assert result["parameters"]["lag"] == pytest.approx(0.7, rel=0.03)
     assert any("refined from the nominal values" in note for note in result["notes"])
+
+
+CULTURE = """
+name = "culture"
+[model]
+inputs = ["D"]
+outputs = ["X", "S"]
+parameters = { mu = 0.3, K = 2.0, Y = 0.6, feed = 18.0 }
+[model.derivatives]
+X = "mu*S/(K + S)*X - D*X"
+S = "-mu*S/(K + S)*X/Y + D*(feed - S)"
+[data]
+files = ["run.csv"]
+time = "t"
+[validation]
+files = ["test.csv"]
+"""
+
+
+def grown(path: Path, seed: int, samples: int) -> None:
+    """A culture with held dilution: mu = 0.5, K = 1, Y = 0.5, feed = 20; 1 % of noise, slow."""
+    draw = np.random.default_rng(seed)
+    rows, x, level = [], np.array([2.0, 5.0]), 0.1
+    for i in range(samples):
+        level = draw.uniform(0.0, 0.25) if i % 16 == 0 else level
+        noisy = x[0] * (1.0 + 0.01 * draw.standard_normal()), x[1] + 0.03 * draw.standard_normal()
+        rows.append([0.25 * i, level, *noisy])
+
+        def rates(t, x, dilution=level):
+            growth = 0.5 * x[1] / (1.0 + x[1]) * x[0]
+            return [growth - dilution * x[0], dilution * (20.0 - x[1]) - growth / 0.5]
+
+        x = solve_ivp(rates, (0.0, 0.25), x, rtol=1e-8, atol=1e-10).y[:, -1]
+    np.savetxt(path, rows, delimiter=",", header="t,D,X,S", comments="")
+
+
+@pytest.mark.slow
+@pytest.mark.long
+def test_what_noise_hides_from_the_passes_free_runs_tell(config, tmp_path):
+    """It leads them astray, and across the pole of S/(K + S)."""
+    grown(config.parent / "run.csv", 66, 160)
+    grown(config.parent / "test.csv", 67, 130)
+    config.write_text(CULTURE)
+    arguments = [str(config), "--output", str(tmp_path / "runs"), "--json"]
+    done = CliRunner().invoke(app, ["identify", *arguments])
+    assert any("worse than a constant" in note for note in json.loads(done.stdout)["notes"])
+    result = json.loads(run(*arguments).stdout)
+    for name, value in {"mu": 0.5, "K": 1.0, "Y": 0.5, "feed": 20.0}.items():
+        assert result["parameters"][name] == pytest.approx(value, rel=0.05)
+
+
+def test_an_estimate_that_simulates_its_records_worse_than_the_nominal_values_is_refuted():
+    start = discovery().declared
+    astray = start.plant.with_parameters({"spring": 10.0 * start.parameters["spring"]})
+    assert not actions._is_refuted(start)
+    assert actions._is_refuted(replace(start, plant=astray))
 
 
 LOOSE = """
