@@ -24,6 +24,12 @@ _COMMANDS = frozenset((
     "cmd", "command", "commanded", "befehl", "commande", "comando", "stellgroesse", "stellgröße",
     "stellwert",
 ))  # fmt: skip
+# What is around a plant or comes to it, which it cannot move: `T_amb`, `wind speed`, `feed_flow`.
+_SURROUNDINGS = frozenset((
+    "ambient", "amb", "outdoor", "outside", "exterior", "weather", "umgebung", "aussen", "außen",
+    "sun", "solar", "insolation", "irradiance", "irradiation", "sonne", "wind", "rain", "regen",
+    "feed", "inlet", "inflow", "influent", "zulauf", "door", "vent",
+))  # fmt: skip
 _ENDINGS = ("soll", "sollwert", "setpoint", "cmd", "ref", "consigne", "consigna")
 
 
@@ -52,7 +58,7 @@ def _words(name: str) -> list[str]:
 
 
 def role_of_name(name: str) -> str:
-    """The role that a name stands for, by what is sent or set, else by its first known word.
+    """The role that a name stands for: what is sent, set or around, else by its first known word.
 
     Args:
         name: of a column.
@@ -61,7 +67,8 @@ def role_of_name(name: str) -> str:
         ``"input"``, ``"output"``, or nothing.
     """
     words = _words(name)
-    if any(word in _REFERENCES | _COMMANDS or word.endswith(_ENDINGS) for word in words):
+    sent = _REFERENCES | _COMMANDS | _SURROUNDINGS
+    if any(word in sent or word.endswith(_ENDINGS) for word in words):
         return "input"
     for word in words:
         if word in _INPUT or word in _OUTPUT:

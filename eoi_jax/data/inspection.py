@@ -458,9 +458,12 @@ def _separate_references(roles: dict[str, tuple[str, str]], held: set[str]) -> N
         roles |= dict.fromkeys(references, ("other", "a reference, beside another input"))
         inputs = [key for key in inputs if key not in references]
     if len(inputs) > 1 and not any(role == "output" for role, _ in roles.values()):
-        moving = [key for key in inputs if key not in held]
-        only = "it alone is not held" if len(moving) == 1 else "it comes last by its name"
-        roles[max(moving or inputs)] = ("output", f"there must be one, and {only}")
+        moving = [key for key in inputs if key not in held] or inputs
+        unnamed = [key for key in moving if role_of_name(key) != "input"] or moving
+        only = "it comes last by its name"
+        if len(unnamed) == 1:
+            only = "it alone is not held" if len(moving) == 1 else "it alone is not called an input"
+        roles[max(unnamed)] = ("output", f"there must be one, and {only}")
 
 
 def _role(channel: Channel, values: Float[np.ndarray, " time"]) -> tuple[str, str]:

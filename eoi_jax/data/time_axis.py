@@ -24,7 +24,9 @@ _UNITS = {
     "s": 1.0, "sec": 1.0, "second": 1.0, "seconds": 1.0, "ms": 1e-3, "msec": 1e-3,
     "milliseconds": 1e-3, "millis": 1e-3, "us": 1e-6, "µs": 1e-6, "μs": 1e-6, "usec": 1e-6,
     "microseconds": 1e-6, "micros": 1e-6, "ns": 1e-9, "nanoseconds": 1e-9, "min": 60.0,
-    "minutes": 60.0, "h": 3600.0, "hours": 3600.0, "d": 86400.0, "days": 86400.0,
+    "mins": 60.0, "minute": 60.0, "minutes": 60.0, "minuten": 60.0, "h": 3600.0, "hr": 3600.0,
+    "hrs": 3600.0, "hour": 3600.0, "hours": 3600.0, "stunden": 3600.0, "d": 86400.0, "day": 86400.0,
+    "days": 86400.0, "tage": 86400.0, "week": 604800.0, "weeks": 604800.0, "wochen": 604800.0,
 }  # fmt: skip
 NAMED = "named by the caller"
 # Units since 1970, the smallest value of each, and its seconds, for dates from 2001 to 2065.

@@ -445,6 +445,31 @@ def test_what_a_controller_sends_or_is_to_reach_is_an_input(tmp_path, name):
     assert roles(inspect(file)) == {"t": "time", name: "input", "speed": "output"}
 
 
+@pytest.mark.parametrize("name", ["outdoor temp [°C]", "T_amb", "wind speed", "feed_flow", "sun"])
+def test_what_surrounds_a_plant_is_an_input(tmp_path, name):
+    """It moves as smoothly as what it moves."""
+    columns = {"t": T, name: np.sin(2.0 * T), "temp": np.cumsum(np.sin(2.0 * T)), "u": U}
+    found = inspect(written(tmp_path / "run.csv", **columns))
+    assert (found.inputs, found.outputs) == ((name, "u"), ("temp",))
+
+
+def test_of_signals_that_all_jump_the_output_is_one_that_is_called_no_input(tmp_path):
+    jumping = np.where(np.arange(N) % 40 < 20, T, 5.0 - T)
+    columns = {"t": T, "room": jumping, "outdoor": np.sin(2.0 * T), "sun": np.cos(T), "heater": U}
+    found = inspect(written(tmp_path / "run.csv", **columns))
+    assert found.outputs == ("room",)
+    assert "alone is not called an input" in channel(found, "room").why
+
+
+@pytest.mark.parametrize(
+    ("name", "seconds"), [("minute", 60.0), ("hour", 3600.0), ("week", 604800.0)]
+)
+def test_a_clock_in_the_singular_counts_in_its_unit(tmp_path, name, seconds):
+    columns = {name: 3 * np.arange(N), "u": U, "y": Y}
+    clock = inspect(written(tmp_path / "run.csv", **columns)).clock
+    assert (clock.column, clock.factor) == (name, seconds)
+
+
 def test_levels_that_somebody_set_are_no_coarse_sensor(tmp_path):
     """Neither name tells; small set points differ by many steps of their values."""
     levels = np.cumsum(np.where(np.arange(20) % 2, 1.3, -0.7))
