@@ -97,6 +97,31 @@ def sensor_notes(plant: Plant, added: Sequence[Added]) -> list[str]:
     ]
 
 
+def sign_notes(plant: Plant, fit: Identification) -> list[str]:
+    """Notes on declared parameters that came out with the other sign, by more than their error.
+
+    A rate of a reaction cannot be negative, a gain may be: only the user knows. Effects that stand
+    in for others often leave such parameters.
+
+    Args:
+        plant: as it is declared.
+        fit: the answer.
+    """
+    return [
+        FitNote(_TURNED.format(name, fit.parameters[name], nominal))
+        for name, nominal in plant.parameters.items()
+        if name not in plant.fixed
+        and fit.parameters.get(name, nominal) * nominal < 0.0
+        and size_is_known([name], fit.parameters, fit.standard_errors)
+    ]
+
+
+_TURNED = (
+    "{} is {:.3g}, and its nominal value {:.3g} has the other sign: where that is impossible give "
+    "it `bounds`, and doubt what was found beside it"
+)
+
+
 def as_fit(prepared: PreparedRecords, result: Refinement) -> Identification:
     """A refinement as a fit: one pass gives the injection that is left."""
     injection_fit = estimate(result.plant, prepared, passes=1)

@@ -1,11 +1,15 @@
 """A set that explains the injection is no answer where the records do not tell its size."""
 
+from dataclasses import replace
+
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from found import discovery
 from scipy.integrate import solve_ivp
 
 import eoi_jax as eoi
+from eoi_jax.discovery.additions import sign_notes
 
 H = 0.02
 NOMINAL = {"gain": 12.0, "stiffness": 40.0, "damping": 1.0}
@@ -45,3 +49,17 @@ def test_short_noisy_records_of_a_right_model_name_nothing():
     held = record(draw, truth, noise, int(draw.integers(60, 200)))
     plant = eoi.Plant(swing, NOMINAL, 2, units={"y": "rad", "u": "V"})
     assert eoi.discover(plant, fit, validation=held).effects == ()
+
+
+@pytest.mark.parametrize(
+    ("errors", "fixed", "said"),
+    [(-10.0, (), 1), (-1.0, (), 0), (10.0, (), 0), (-10.0, ("spring",), 0)],
+)
+def test_a_parameter_that_came_out_with_the_other_sign_is_told(errors, fixed, said):
+    """Of those that are estimated, and by more than their standard errors."""
+    fit = discovery().found
+    value = errors * fit.standard_errors["spring"]
+    turned = replace(fit, parameters={**fit.parameters, "spring": value})
+    notes = sign_notes(fit.nominal.declared_anew(fixed=fixed), turned)
+    assert len(notes) == said
+    assert all(note.startswith(f"spring is {value:.3g}") for note in notes)
