@@ -590,7 +590,8 @@ def _is_refuted(start: Identification) -> bool:
 
     Noise that hides the motion, or a pole of the equations between the two, leads passes astray.
     """
-    return worse(*validated_alike((start.nominal, start.plant), start.records))
+    nominal_runs, runs = validated_alike((start.nominal, start.plant), start.records)
+    return worse(nominal_runs, runs)
 
 
 def _validate(result: Identification | Refinement, job: run_folder.Job) -> Validation | None:

@@ -69,6 +69,11 @@ def uncertain_effects(added: Sequence[Added]) -> list[str]:
     ]
 
 
+def fit_notes(plant: Plant, added: Sequence[Added], fit: Identification) -> list[str]:
+    """`sensor_notes` and `sign_notes` of an answer."""
+    return [*sensor_notes(plant, added), *sign_notes(plant, fit)]
+
+
 def sensor_notes(plant: Plant, added: Sequence[Added]) -> list[str]:
     """Notes on delays and lags that the sensor may have as well as the actuator, or the other way.
 

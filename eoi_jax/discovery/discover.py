@@ -22,7 +22,7 @@ from eoi_jax._blas import one_thread
 from eoi_jax._checks import check, check_count, real
 from eoi_jax.data.clipping import clipped_notes
 from eoi_jax.data.record import Record
-from eoi_jax.discovery.additions import sensor_notes, sign_notes
+from eoi_jax.discovery.additions import fit_notes
 from eoi_jax.discovery.curves import misses_a_law, with_curves
 from eoi_jax.discovery.hold_choice import Searched, with_best_hold, with_held_inputs
 from eoi_jax.discovery.in_free_runs import (
@@ -151,9 +151,8 @@ def discover(
     unplaced_notes = (
         [] if effects is None else notes_without_place(tried_effects, fitting, discovery)
     )
-    signs = sign_notes(plant, discovery.found)
     clipped = clipped_notes((*fit_records, *held_out))
-    notes = *sensor_notes(plant, discovery.added), *signs, *unplaced_notes, *runs, *clipped
+    notes = *fit_notes(plant, discovery.added, discovery.found), *unplaced_notes, *runs, *clipped
     discovery = replace(discovery, notes=(*discovery.notes, *notes))
     return with_test_errors(discovery, unseen, fit_records, window) if unseen else discovery
 
