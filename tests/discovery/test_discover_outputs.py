@@ -165,7 +165,7 @@ def test_a_pair_that_is_small_beside_the_level_of_the_voltage_is_found():
     decay, records = np.exp(-1.0 / 180.0), []
     for seed in (1, 2, 3):
         record = cell_record(seed)
-        behind = lfilter([0.0, 1.0 - decay], [1.0, -decay], record.inputs[:, 0])
+        behind = np.asarray(lfilter([0.0, 1.0 - decay], [1.0, -decay], record.inputs[:, 0]))
         records.append(record.with_outputs(record.outputs - 0.03 * behind[:, None], record.name))
     found = discover(battery(**START), records[:2], records[2])
     assert (found.status.code, found.effects) == ("complete", ("relaxation",))

@@ -628,9 +628,10 @@ def test_a_further_form_is_tried_only_where_the_fit_has_left_it_a_place(product,
     time, u = 0.1 * np.arange(200.0), np.repeat([1.0, 0.5, 1.5, 1.0], 50)
     record = eoi.Record(time, u, u, "run", hold="zero", input_names=["u"], output_names=["c"])
     judge = Judge.of((record,), plant)
+    assert judge is not None
     base, model = (
         Judged(refine_once(start, (record,), None, max_steps=0), placed, judge.runs(start))
         for start, placed in [(plant, ()), (whole, (flow, series))]
     )
     following = Search((record,), (record,), judge, (base,))._next_forms(model)
-    assert (following and following[1].effect.cells) == cells
+    assert (following and vars(following[1].effect)["cells"]) == cells
