@@ -14,7 +14,9 @@ parameters are biased hides right effects from both. The search:
    several maxima (the wave number of a ripple) from each.
 4. The judge: the free-run errors on records that no fit has seen, whole and in windows. The best
    candidate stays where their mean logarithm falls enough, and the paired difference over blocks of
-   these records exceeds its own standard error by enough. Then from 2, until none does.
+   these records exceeds its own standard error by enough; one that takes the place of an effect of
+   the round before, where it does so over the model before that. Then from 2, until none does, and
+   once more from what is left without the effects that the model can be without.
 5. What can be left out again without a larger error is left out; of the ways in which the records
    may have been made that with the smallest errors of the answer is taken, and of its fits over
    long and over short runs that on which all records agree, whole and in windows.
@@ -166,7 +168,7 @@ def search_free_runs(
             models += [(*model, best) for model in replacements(best, tried)]
         trials = [trial for model in models if (trial := search.fitted(*model)) is not None]
         trials += search.further_forms(trials)
-        accepted = [trial for trial in trials if search.judge.prefers(trial.runs, best.runs)]
+        accepted = [trial for trial in trials if search.accepts(trial, best, rounds)]
         if not accepted and best is not leanest:
             # What stood in for an effect that is found beside it may have hidden another one.
             best = leanest = search.leanest(best)
@@ -250,6 +252,12 @@ class Search:
             return False
         judge = Judge.of((*self.searched, *self.judge.records), start) or self.judge
         return not judge.prefers(judge.runs(start), judge.runs(base.refinement.plant))
+
+    def accepts(self, trial: Judged, best: Judged, rounds: Sequence[Contest]) -> bool:
+        """Whether a model is better than the best one by more than chance, or takes its place."""
+        if self.judge.prefers(trial.runs, best.runs):
+            return True
+        return bool(rounds) and self.judge.replaces(trial, best, rounds[-1].origin)
 
     def answers(self, models: Sequence[Judged]) -> list[Judged]:
         """Models whose errors are lower than those of the base by as much as makes an answer."""

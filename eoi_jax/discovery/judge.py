@@ -129,6 +129,18 @@ class Judge:
         deviations = [_deviations(rival, trial) for rival, trial in pairs]
         return bool(max(deviations) > _RULES.min_deviations > -min(deviations))
 
+    def replaces(self, trial: Judged, best: Judged, origin: Judged) -> bool:
+        """Whether a model takes the place of one that was chosen before it.
+
+        Neither contains the other, and both came from the same one: that it lacks something is
+        known. Of the two the smaller error decides, by as much as makes each further effect stay.
+        """
+        if set(best.placed) <= set(trial.placed):
+            return False
+        further = max(trial.burden - best.burden, 1.0)
+        lower = best.error - trial.error >= _RULES.min_fall * further
+        return lower and self.prefers(trial.runs, origin.runs)
+
     def is_as_good(self, trial: FreeRuns, best: FreeRuns) -> bool:
         """Whether the errors of a model are no larger than another's."""
         return mean_error(trial) < mean_error(best) + _RULES.same_error

@@ -12,6 +12,7 @@ from eoi_jax import effects
 from eoi_jax.discovery import free_run_search, in_free_runs
 from eoi_jax.discovery.free_run_search import FreeRunAnswer, Search, search_free_runs
 from eoi_jax.discovery.judge import Judge, Judged, _standardised, mean_error
+from eoi_jax.discovery.probability import Contest
 from eoi_jax.models.augmented import augmented, place
 from eoi_jax.models.effects import Product
 from eoi_jax.refinement.refine import refine_once
@@ -422,6 +423,32 @@ def test_a_plain_law_that_is_no_answer_does_not_come_before_one_that_is():
     base, *models = trials.values()
     search = Search(judge.records, judge.records, judge, (base,))
     assert [model.placed[0].effect.name for model in search.answers(models)] == ["product"]
+
+
+@pytest.mark.parametrize(
+    ("error", "placed", "significant", "replaces"),
+    [
+        (-0.70, ("constant_offset",), True, True),
+        (-0.62, ("constant_offset",), True, False),  # hardly lower
+        (-0.64, ("constant_offset", "product"), True, False),  # for two effects, one of them rare
+        (-0.80, ("constant_offset", "product"), True, True),
+        (-0.70, ("constant_offset",), False, False),  # over the origin it may be chance
+        (-0.90, ("end_stop", "constant_offset"), True, False),  # beside it, it must be significant
+    ],
+)
+def test_a_model_takes_the_place_of_one_that_came_from_the_same_origin(
+    monkeypatch, error, placed, significant, replaces
+):
+    judge, models = judged_with(
+        {"none": 0.0, "end_stop": -0.6, "constant_offset": error, "product": error}
+    )
+    base, best, trial = models["none"], models["end_stop"], models["constant_offset"]
+    trial = replace(trial, placed=tuple(at for name in placed for at in models[name].placed))
+    monkeypatch.setattr(Judge, "prefers", lambda _, __, rival: rival is base.runs and significant)
+    assert judge.replaces(trial, best, base) is replaces
+    search = Search(judge.records, judge.records, judge, (base,))
+    assert search.accepts(trial, best, [Contest(base, best, ())]) is replaces
+    assert search.accepts(trial, best, []) is False
 
 
 def test_the_search_goes_on_from_what_is_left_without_stand_ins(monkeypatch):
