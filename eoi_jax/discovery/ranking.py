@@ -22,7 +22,7 @@ def ranking(
 
     Args:
         plant: the declared model.
-        rounds: of the scores.
+        rounds: of the search.
         added: effects of the answer.
         refused: why other effects are not.
     """

@@ -80,7 +80,7 @@ def standings(
     """The standings of effects that the injection justifies, each from the round that added it.
 
     Args:
-        rounds: of the scores.
+        rounds: of the search.
         effects: of the answer.
         wider: laws that gave way to simpler ones in free runs, with their odds against these.
         remainder: power of the residual that is left beyond the noise.
