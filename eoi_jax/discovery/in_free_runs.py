@@ -75,10 +75,6 @@ def leaves_open(discovery: Discovery) -> bool:
     if any(item.reason == Reason.NO_FREE_RUN for item in discovery.ranking):
         return False
     code = discovery.status.code
-    in_time = any(
-        isinstance(addition.effect, Drift | SinusoidalDisturbance) for addition in discovery.added
-    )
-    doubtful = in_time or _is_kinked_line(discovery.added)
     if code == "nothing_missing":
         runs = discovery.windows_after or discovery.after
         if runs is None or np.all(runs.nrmse < _RULES.small):
@@ -86,7 +82,15 @@ def leaves_open(discovery: Discovery) -> bool:
         # What is read as noise off a few samples may be motion.
         lost = bool(np.any(runs.nrmse > _RULES.useless))
         return lost or bool(beyond_noise(runs, discovery.held_out))
-    return code in ("unexplained", "no_data") or (code == "complete" and doubtful)
+    return code in ("unexplained", "no_data") or (
+        code == "complete" and _stands_in(discovery.added)
+    )
+
+
+def _stands_in(added: Sequence[Added]) -> bool:
+    """Whether effects may stand in for others: a disturbance in time, a loss with a kink."""
+    in_time = any(isinstance(item.effect, Drift | SinusoidalDisturbance) for item in added)
+    return in_time or _is_kinked_line(added)
 
 
 def _is_kinked_line(added: Sequence[Added]) -> bool:
@@ -125,7 +129,21 @@ def with_free_runs(
         further.append((rival, placed_effects(discovery)))
     starts = [discovery.declared.plant, plant]
     answer = search_free_runs(starts, variants, effects, further, rival, alpha)
-    return discovery if answer is None else answered(discovery, answer, lowpass)
+    if answer is None:
+        return discovery
+    found = answered(discovery, answer, lowpass)
+    justified = rival is not None and not _stands_in(discovery.added)
+    return discovery if justified and _contradicts_injection(found, discovery) else found
+
+
+def _contradicts_injection(found: Discovery, justified: Discovery) -> bool:
+    """Whether an answer leaves far more of the injection than one that the injection justifies.
+
+    What is missing explains both. Effects that lower the errors of free runs alone stand in for
+    what these show of it.
+    """
+    old, new = (fit.index[fit.best_pass] for fit in (justified.found, found.found))
+    return bool(np.any(new > _RULES.contradicted * old))
 
 
 def placed_effects(discovery: Discovery) -> tuple[Placed, ...]:

@@ -302,6 +302,8 @@ class QuestionRules:
         small: error over the spread of the output that is not worth a search.
         wide: the same of an answer of the injection from which on the search begins anew. Set with
             the saturating uptake of `beyond_library` in view.
+        contradicted: index of an answer of free runs, over that of one that the injection
+            justifies, from which on it does not take its place. Set with emps in view.
         useless: the same of a model that a constant is better than, whatever the noise. Set with
             indomethacin in view.
     """
@@ -309,6 +311,7 @@ class QuestionRules:
     motion: float = 0.7
     small: float = 0.01
     wide: float = 0.05
+    contradicted: float = 2.0
     useless: float = 1.25
 
 
