@@ -53,11 +53,11 @@ _UNDETERMINED = (
     "no parameter has a standard error below its value: these records do not determine this model. "
     "Use a model with fewer parameters, or of a lower order, or records with more excitation"
 )
-# Statuses of passes whose estimate is refined as it is.
 _LOST = (
     "free runs of the estimate predict {} of the held-out records worse than a constant: do not "
     "trust it. `eoi refine` fits free runs, from the nominal values too where these are better"
 )
+# Statuses of passes whose estimate is refined as it is.
 _ENDED = ("converged", "undersampled")
 # Statuses of a discovery whose results are written.
 _ANSWERS = ("complete", "partial", "nothing_missing", "unexplained")

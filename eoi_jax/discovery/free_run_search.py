@@ -149,7 +149,7 @@ def search_free_runs(
     if not searches:
         return None
     search = _most_likely(searches)
-    best, rounds, leanest = search.base, [], None
+    best, rounds = search.base, []
     for number in range(1 if present else _RULES.most):
         # What short runs do not show or fit a whole one may, and the other way about.
         models = [
@@ -169,12 +169,13 @@ def search_free_runs(
         trials = [trial for model in models if (trial := search.fitted(*model)) is not None]
         trials += search.further_forms(trials)
         accepted = [trial for trial in trials if search.accepts(trial, best, rounds)]
-        if not accepted and best is not leanest:
-            # What stood in for an effect that is found beside it may have hidden another one.
-            best = leanest = search.leanest(best)
-            continue
         if not accepted:
-            break
+            # What stood in for an effect that is found beside it may have hidden another one.
+            lean = search.leanest(best)
+            if lean is best:
+                break
+            best = lean
+            continue
         chosen = search.judge.plainest_of_all(trials, search.answers(accepted) or accepted)
         rounds.append(Contest(best, chosen, tuple(trials)))
         best = chosen
