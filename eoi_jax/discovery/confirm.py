@@ -12,6 +12,11 @@ from eoi_jax.simulation.validate import FreeRuns, Validation
 
 _RULES = RULES.answer
 
+HIDDEN = (
+    ", though the injection shows nothing beyond that noise: it hides what is missing, or spoils "
+    "the estimate"
+)
+
 
 def holds(prior: FreeRuns, after: FreeRuns) -> bool:
     """Whether the free run improves, whole or in windows: lightly damped plants drift in phase."""
@@ -49,19 +54,26 @@ def as_good(plain: FreeRuns, wide: FreeRuns) -> bool:
     )
 
 
-def beyond_noise(short: Validation | None, records: Sequence[Record]) -> list[str]:
+def beyond_noise(
+    short: Validation | None, records: Sequence[Record], conclusion: str = HIDDEN
+) -> list[str]:
     """A sentence for each output whose error in windowed free runs far exceeds its noise.
 
     The error of a correct model is the noise plus the effect of an initial state that is estimated
     from few samples. Whole runs may drift in phase and are not used here. Where differences show
     motion, and the noise is known from above alone, there is less room between both.
+
+    Args:
+        short: free runs in windows; None: no sentence.
+        records: that were simulated.
+        conclusion: end of the sentence.
     """
     if short is None:
         return []
     noise = sensor_noise(short)
     limits = np.where(shows_noise(short), _RULES.noise, _RULES.bounded_noise)
     return [
-        _DOUBT.format(name, error / sigma)
+        _EXCESS.format(name, error / sigma, conclusion)
         for name, error, sigma, limit in zip(
             records[0].output_names, short.rmse, noise, limits, strict=True
         )
@@ -83,7 +95,4 @@ def _pairs(prior: FreeRuns, after: FreeRuns) -> list[tuple[Validation, Validatio
     return [(old, new) for old, new in zip(prior, after, strict=True) if old and new]
 
 
-_DOUBT = (
-    "free runs of {} in windows miss by {:.2g} times the noise of its sensor, though the injection "
-    "shows nothing beyond that noise: it hides what is missing, or spoils the estimate"
-)
+_EXCESS = "free runs of {} in windows miss by {:.2g} times the noise of its sensor{}"

@@ -54,17 +54,20 @@ def partial_where_more_is_left(discovery: Discovery) -> Discovery:
     """An answer is partial where free runs miss by more, too: what it says is not what they lack.
 
     So it is where it takes less of the residual than is asked for, or where the errors of free runs
-    on held-out records fall by less than what confirms an effect.
+    on held-out records fall by less than what confirms an effect. Elsewhere a note says how much
+    they still miss by.
     """
     status, runs = discovery.status, discovery.windows_after or discovery.after
     if status.code != "complete" or not discovery.added or discovery.in_sample or runs is None:
         return discovery
-    if not beyond_noise(runs, discovery.held_out):
+    excesses = beyond_noise(runs, discovery.held_out, _MORE_MISSING)
+    if not excesses:
         return discovery
     before = discovery.before if discovery.windows_after is None else discovery.windows_before
     unimproved = before is not None and error_ratio(runs, before) > RULES.answer.confirmed
     if discovery.explained >= RULES.answer.explained and not unimproved:
-        return discovery
+        notes = map(FitNote, excesses)
+        return replace(discovery, notes=(*discovery.notes, *notes))
     left = f"{_MORE_LEFT}, hardly less than before" if unimproved else _MORE_LEFT
     return replace(discovery, status=Status("partial", f"{status.message}; {left}"))
 
@@ -202,6 +205,7 @@ def _differ(fits: Sequence[Refinement], placed: Placed) -> bool:
 
 _REFINE_HINT = ". `refine=True` looks for it in the free runs"
 _MORE_LEFT = "free runs on the held-out records miss by more than noise"
+_MORE_MISSING = ": something smaller than the added effects is missing, too"
 _SHIFTED = (
     "the records differ in a constant at {}: with an offset of its own in each, free runs of the "
     "declared model have {:.2g} of the error that {} leaves ({}{}). What differs between them is "

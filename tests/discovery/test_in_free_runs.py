@@ -22,6 +22,7 @@ from eoi_jax.discovery.remainder import partial_where_more_is_left
 from eoi_jax.discovery.result import Added
 from eoi_jax.models.augmented import augmented, place
 from eoi_jax.models.effects import Curve, Product
+from eoi_jax.simulation.sensor_noise import sensor_noise
 
 TIME = np.arange(4001) * 5e-3
 TRUTH = {"gain": 1.0, "damping": 0.4, "stiffness": 10.0}
@@ -139,7 +140,13 @@ def test_an_answer_to_a_part_is_partial_where_free_runs_show_the_rest(found):
         f"{answer.status.message}, hardly less than before"
     )
     assert partial_where_more_is_left(replace(left, windows_after=None)).status == answer.status
-    assert partial_where_more_is_left(replace(left, explained=0.95)).status == left.status
+    most = partial_where_more_is_left(replace(left, explained=0.95))
+    assert most.status == left.status
+    times = runs.rmse[0] / sensor_noise(runs)[0]
+    assert most.notes[-1] == (
+        f"free runs of {left.plant.outputs[0]} in windows miss by {times:.2g} times the noise of "
+        "its sensor: something smaller than the added effects is missing, too"
+    )
     assert partial_where_more_is_left(replace(left, in_sample=True)).status == left.status
     assert partial_where_more_is_left(found) == found
 
