@@ -606,14 +606,10 @@ def _fits_better(trials: Sequence[Judged], best: Judged, variant: Search) -> boo
 
 def _repeated(present: Sequence[Placed], placed: Sequence[Placed]) -> bool:
     """Whether one of some effects is in the model already, at the same place."""
-    places = {_place_of(item) for item in present}
-    return any(_place_of(item) in places for item in placed)
+    places = {item.kind_site for item in present}
+    return any(item.kind_site in places for item in placed)
 
 
 def _sites_of(placed: Sequence[Placed]) -> Sites:
     """Kinds of effects and their channels, in any order."""
-    return tuple(sorted(_place_of(item)[:2] for item in placed))
-
-
-def _place_of(placed: Placed) -> tuple:
-    return placed.effect.kind, placed.channel, placed.against, placed.through
+    return tuple(sorted(item.kind_site[:2] for item in placed))

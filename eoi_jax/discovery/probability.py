@@ -156,10 +156,10 @@ def from_contests(
         effects: of it, whose standings are asked for.
         contests: the rounds.
     """
-    places = {_place_of(rival) for rival in best.placed}
+    places = {rival.kind_site for rival in best.placed}
     remainder, standings = _power(best.error) - _power(noise_level(best.runs)), {}
     for placed in effects:
-        place = _place_of(placed)
+        place = placed.kind_site
         added = (contest for contest in contests
                  if place in _places(contest.chosen) - _places(contest.origin))  # fmt: skip
         contest = next(added, None)
@@ -168,7 +168,7 @@ def from_contests(
         chosen = contest.chosen
         against: dict[Placed | None, float] = {None: odds(contest.origin.runs, chosen.runs)}
         for trial in contest.trials:
-            rivals = [rival for rival in trial.placed if _place_of(rival) not in places]
+            rivals = [rival for rival in trial.placed if rival.kind_site not in places]
             if rivals and place not in _places(trial) and not reads_as(rivals[0], placed):
                 found = odds(trial.runs, chosen.runs, trial.burden - chosen.burden)
                 against[rivals[0]] = max(found, against.get(rivals[0], 0.0))
@@ -196,7 +196,7 @@ def _one_of_each_place(against: Mapping[Placed | None, float]) -> dict[Placed | 
     """Without further forms of a rival: that which does best stands for them."""
     best: dict[object, Placed | None] = {}
     for rival, value in against.items():
-        place = rival and _place_of(rival)
+        place = rival and rival.kind_site
         if place not in best or value > against[best[place]]:
             best[place] = rival
     return {rival: against[rival] for rival in best.values()}
@@ -208,8 +208,4 @@ def _power(error: float) -> float:
 
 
 def _places(model: Judged) -> set[tuple]:
-    return {_place_of(placed) for placed in model.placed}
-
-
-def _place_of(placed: Placed) -> tuple:
-    return placed.effect.kind, placed.channel, placed.against, placed.through
+    return {placed.kind_site for placed in model.placed}

@@ -82,6 +82,11 @@ class Placed:
         """Effect and place, without the names of the parameters."""
         return self.effect, self.channel, self.against, self.through
 
+    @property
+    def kind_site(self) -> tuple[str, int, int | None, int | None]:
+        """Kind of the effect and place, whatever its shape."""
+        return self.effect.kind, *self.site[1:]
+
     def drives(self, u: Any) -> Any:
         """The input that it acts on, from all inputs (last axis); with its driver two columns."""
         places = self.channel if self.through is None else np.array([self.channel, self.through])
