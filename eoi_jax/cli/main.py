@@ -17,7 +17,7 @@ def main() -> None:
     # Modules, traces and figures are millions of objects that stay. A collection after every 50 000
     # takes a twentieth of a discovery and saves 17 of its 430 MB; long commands still have them.
     gc.set_threshold(1_000_000)
-    # As `_blas.one_thread` sets it later: threads that never start need no time to wait for work.
+    # As `_process.one_thread` sets it later: threads that never start need not wait for work.
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     try:
         try:

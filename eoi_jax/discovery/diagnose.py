@@ -18,9 +18,9 @@ import equinox as eqx
 import numpy as np
 from jaxtyping import Float
 
-from eoi_jax._blas import one_thread
 from eoi_jax._checks import check, check_kind, real
 from eoi_jax._display import findings
+from eoi_jax._process import one_thread
 from eoi_jax.data.clipping import saturations
 from eoi_jax.data.record import Record
 from eoi_jax.data.spectrum import foreign_lines

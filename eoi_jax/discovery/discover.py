@@ -18,8 +18,8 @@ r"""Find the effects that a model lacks from its residual, and add them.
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
-from eoi_jax._blas import one_thread
 from eoi_jax._checks import check, check_count, real
+from eoi_jax._process import memory_returned, one_thread
 from eoi_jax.data.clipping import clipped_notes
 from eoi_jax.data.record import Record
 from eoi_jax.discovery.additions import fit_notes
@@ -63,6 +63,7 @@ from eoi_jax.models.plant import Plant
 _RULES = RULES.answer
 
 
+@memory_returned()
 @one_thread()
 def discover(
     plant: Plant,

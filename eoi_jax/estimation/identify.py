@@ -14,9 +14,9 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Bool, Float
 
-from eoi_jax._blas import one_thread
 from eoi_jax._checks import check_count
 from eoi_jax._display import Result
+from eoi_jax._process import one_thread
 from eoi_jax._status import NOT_RECORDED, EngineUsed, Status
 from eoi_jax.data.clipping import clipped_notes
 from eoi_jax.data.holds import SETTINGS as HOLD_SETTINGS

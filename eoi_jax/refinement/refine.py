@@ -18,8 +18,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
-from eoi_jax._blas import one_thread
 from eoi_jax._checks import check, check_count, check_positive
+from eoi_jax._process import one_thread
 from eoi_jax._status import Status
 from eoi_jax.data.holds import (
     chosen_hold,

@@ -13,9 +13,9 @@ from typing import Protocol, runtime_checkable
 import numpy as np
 from jaxtyping import Bool, Float
 
-from eoi_jax._blas import one_thread
 from eoi_jax._checks import check, check_count, check_positive, counted, timed
 from eoi_jax._display import Result
+from eoi_jax._process import one_thread
 from eoi_jax._types import WHERE_SET
 from eoi_jax.data.cleaning import channel_groups
 from eoi_jax.data.holds import (

@@ -1,13 +1,14 @@
-"""BLAS has one thread while the library computes, and its own number after."""
+"""BLAS has one thread while the library computes; freed memory goes back to the system."""
 
 import threading
+from pathlib import Path
 
 import numpy as np
 import pytest
 from threadpoolctl import threadpool_info, threadpool_limits
 
 import eoi_jax as eoi
-from eoi_jax._blas import one_thread
+from eoi_jax._process import _trim, memory_returned, one_thread
 
 
 class EnoughError(Exception):
@@ -69,3 +70,21 @@ def test_a_call_from_another_thread_leaves_it_as_it_is(two):
     thread.start()
     thread.join()
     assert seen == [{2}]
+
+
+def resident():
+    """Memory of this process that is in use [MB]."""
+    status = dict(line.split(":", 1) for line in Path("/proc/self/status").read_text().splitlines())
+    return float(status["VmRSS"].split()[0]) / 1e3
+
+
+@pytest.mark.skipif(_trim() is None, reason="a C library without malloc_trim")
+def test_freed_memory_goes_back_though_blocks_between_stay():
+    """200 MB in blocks of 50 kB, of which every fortieth stays."""
+    blocks, remaining = [np.ones(6250) for _ in range(4000)], []
+    with memory_returned():
+        remaining = blocks[::40]
+        del blocks
+        freed = resident()
+    assert resident() < freed - 100.0
+    assert sum(map(len, remaining)) == 100 * 6250
