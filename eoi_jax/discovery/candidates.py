@@ -21,6 +21,7 @@ from eoi_jax.models.augmented import Placed, augmented
 from eoi_jax.models.effects.effect import (
     AbstractActuator,
     AbstractInputEffect,
+    AbstractParameterEffect,
     AbstractTerm,
     At,
     Grid,
@@ -128,8 +129,8 @@ def atoms(
             CandidateColumns(placed, value, no_gains, target[i], slopes[i])
             for i, value in enumerate(values)
         ]
-    elif placed.on_state:
-        candidates = _changed_states(plant, placed, values, stretches)
+    elif placed.on_state or isinstance(placed.effect, AbstractParameterEffect):
+        candidates = _changed_models(plant, placed, values, stretches)
     else:
         columns = _term_rows(plant, placed, shapes, stretches)
         candidates = [CandidateColumns(placed, value, columns[i]) for i, value in enumerate(values)]
@@ -171,7 +172,7 @@ def _finite(candidate: CandidateColumns) -> bool:
     return all(bool(np.max(np.abs(array), initial=0.0) < _OVERFLOW) for array in arrays)
 
 
-def _changed_states(
+def _changed_models(
     plant: Plant, placed: Placed, shapes: list[tuple[float, ...]], stretches: Sequence[ModalRecord]
 ) -> list[CandidateColumns]:
     """Columns of the augmented model at zero gains, one candidate for each shape."""

@@ -56,7 +56,14 @@ from eoi_jax.estimation.identify import declared_index, estimate
 from eoi_jax.estimation.lowpass import LowPass
 from eoi_jax.estimation.preparation import PreparedRecords, prepare_records
 from eoi_jax.models.check_records import check_records
-from eoi_jax.models.effects import couplings, input_actions, input_products, rare, wider
+from eoi_jax.models.effects import (
+    couplings,
+    input_actions,
+    input_products,
+    parameter_dependences,
+    rare,
+    wider,
+)
 from eoi_jax.models.effects.effect import AbstractEffect
 from eoi_jax.models.plant import Plant
 
@@ -123,10 +130,14 @@ def discover(
             [record for _, record in parts],
         )
     held_out = held_out_records(plant, fit_records, validation)
-    tried_effects = requested(plant, [effects] if isinstance(effects, str) else effects)
+    tried_effects = requested(
+        plant, [effects] if isinstance(effects, str) else effects, fit_records
+    )
+    dependences = () if effects is not None else parameter_dependences(plant, fit_records)
     of_plant = (
         *couplings(plant),
         *(action for action in input_actions(plant) if action not in tried_effects),
+        *dependences,
     )
     rare_effects = (*rare(), *of_plant) if effects is None else ()
     fitting = names_with_place(plant, tried_effects)
@@ -137,7 +148,7 @@ def discover(
     progress = callback or _no_progress
     progress("fitting the declared model", 0, STAGES)
     search = _Search(
-        plant, lowpass, tried_effects, rare_effects, alpha, most, window, refine,
+        plant, lowpass, tried_effects, rare_effects, dependences, alpha, most, window, refine,
         effects is not None, progress,
     )  # fmt: skip
     indices = hold_indices(plant, fit_records, declared_index, lowpass)
@@ -175,6 +186,7 @@ class _Search:
     lowpass: LowPass | None
     effects: tuple[AbstractEffect, ...]
     rare: tuple[AbstractEffect, ...]
+    dependences: tuple[AbstractEffect, ...]
     alpha: float
     most: int
     window: float | None
@@ -198,7 +210,7 @@ class _Search:
         """
         discovery, start = searched.discovery, min(float(record.time[0]) for record in records)
         of_plant = input_products(self.plant) + couplings(self.plant) + input_actions(self.plant)
-        further = () if self.named else (*wider(), *of_plant)
+        further = () if self.named else (*wider(), *of_plant, *self.dependences)
         effects = [effect.since(start) for effect in dict.fromkeys((*self.effects, *further))]
         if leaves_more(discovery):
             discovery = unless_refined_is_better(discovery, records)

@@ -131,18 +131,18 @@ def with_free_runs(
     answer = search_free_runs(starts, variants, effects, further, rival, alpha)
     if answer is None:
         return discovery
-    found = answered(discovery, answer, lowpass)
+    outcome = answered(discovery, answer, lowpass)
     justified = rival is not None and not _stands_in(discovery.added)
-    return discovery if justified and _contradicts_injection(found, discovery) else found
+    return discovery if justified and _contradicts_injection(outcome, discovery) else outcome
 
 
-def _contradicts_injection(found: Discovery, justified: Discovery) -> bool:
+def _contradicts_injection(outcome: Discovery, justified: Discovery) -> bool:
     """Whether an answer leaves far more of the injection than one that the injection justifies.
 
     What is missing explains both. Effects that lower the errors of free runs alone stand in for
     what these show of it.
     """
-    old, new = (fit.index[fit.best_pass] for fit in (justified.found, found.found))
+    old, new = (fit.index[fit.best_pass] for fit in (justified.found, outcome.found))
     return bool(np.any(new > _RULES.contradicted * old))
 
 
@@ -328,9 +328,9 @@ def answered(discovery: Discovery, answer: FreeRunAnswer, lowpass: LowPass | Non
         ratio = float(np.exp(best.error - base.error))
         left = beyond_noise(best.runs[1], answer.judging)
         code, text = ("partial", _PARTIAL) if left else ("complete", _COMPLETE)
-        found = replace(discovery, status=Status(code, text.format(names, ratio)), lead=None)
-        found = _with_model(found, answer, best, lowpass)
-        return replace(found, notes=(*found.notes, *notes))
+        outcome = replace(discovery, status=Status(code, text.format(names, ratio)), lead=None)
+        outcome = _with_model(outcome, answer, best, lowpass)
+        return replace(outcome, notes=(*outcome.notes, *notes))
     if discovery.added:
         return discovery
     lead = None
@@ -342,8 +342,8 @@ def answered(discovery: Discovery, answer: FreeRunAnswer, lowpass: LowPass | Non
         # What the injection said of the model as it was is said of no other one.
         left = best.placed or beyond_noise(base.runs[1], answer.judging)
         verdict = ("unexplained", _NOT_EXPLAINED) if left else ("nothing_missing", _NOTHING_MISSING)
-        found = replace(discovery, status=Status(*verdict), lead=lead)
-        return _with_model(found, answer, base, lowpass)
+        outcome = replace(discovery, status=Status(*verdict), lead=lead)
+        return _with_model(outcome, answer, base, lowpass)
     return replace(discovery, lead=lead)
 
 

@@ -5,14 +5,17 @@ from collections.abc import Sequence
 import numpy as np
 
 from eoi_jax._checks import check, check_choice, check_kind
+from eoi_jax.data.record import Record
 from eoi_jax.discovery.result import Discovery
 from eoi_jax.models.effects import (
     Coupling,
     InputAction,
+    ParameterDependence,
     couplings,
     input_actions,
     input_products,
     on_request,
+    parameter_dependences,
     standard,
     wider,
 )
@@ -23,7 +26,7 @@ from eoi_jax.models.used_inputs import used_inputs
 
 
 def requested(
-    plant: Plant, effects: Sequence[AbstractEffect | str] | None
+    plant: Plant, effects: Sequence[AbstractEffect | str] | None, records: Sequence[Record]
 ) -> tuple[AbstractEffect, ...]:
     """The effects by name or as objects.
 
@@ -34,11 +37,13 @@ def requested(
         idle = (action for action in input_actions(plant) if not used[action.signals[0].column])
         return (*standard(), *idle)
     of_plant = input_products(plant) + couplings(plant) + input_actions(plant)
+    of_plant += parameter_dependences(plant, records)
     library = (*standard(), *wider(), *on_request(), *of_plant)
     check_kind("effects", effects, Sequence, "a list of names or effects")
     check(len(effects) > 0, "effects", "must name at least one effect", "none")
     chosen: list[AbstractEffect] = []
-    names = sorted({effect.name for effect in library} | {Coupling.name, InputAction.name})
+    names = sorted({effect.name for effect in library} | {Coupling.name, InputAction.name}
+                   | {ParameterDependence.name})  # fmt: skip
     for effect in effects:
         if isinstance(effect, str):
             check_choice("effects", effect, names)

@@ -20,6 +20,7 @@ from jaxtyping import Float
 from eoi_jax._checks import check
 from eoi_jax._types import WHERE_SET
 from eoi_jax.models.cascade import Cascade, Stage
+from eoi_jax.models.effects.dependence import ParameterDependence
 from eoi_jax.models.effects.effect import (
     INPUT_EFFECTS,
     AbstractActuator,
@@ -27,6 +28,7 @@ from eoi_jax.models.effects.effect import (
     AbstractEffect,
     AbstractInputEffect,
     AbstractInternalEffect,
+    AbstractParameterEffect,
     AbstractTerm,
     At,
 )
@@ -294,6 +296,8 @@ def unit(plant: Plant, placed: Placed, pattern: str) -> str:
         f = plant.units.get(plant.inputs[placed.through], "")
         quotients = quotient_unit(f, y), quotient_unit(f, v)
     units = {"y": y, "v": v, "f": f, "u": u, "f/y": quotients[0], "f/v": quotients[1]}
+    if isinstance(placed.effect, ParameterDependence):
+        units["1/z"] = quotient_unit("1", placed.effect.signal_unit(plant))
     if any(f"{{{key}}}" in pattern and not value for key, value in units.items()):
         return ""
     return pattern.format(**units)
@@ -328,9 +332,7 @@ class _Dynamics:
         """f without what is connected in series."""
         changed = _forced(self, t, x, _inputs(self, t, x, u, p), u, p)
         base = self.base.direct if isinstance(self.base, _Dynamics) else self.base
-        f = jnp.asarray(
-            base(t, State(x.y, x.z[: self.nz]), changed, _declared_parameters(self.names, p))
-        )
+        f = jnp.asarray(base(t, State(x.y, x.z[: self.nz]), changed, _parameters(self, t, x, u, p)))
         f = jnp.reshape(f, (x.y.shape[1],))
         for placement, z in _split_states(self.placed, x.z[self.nz :]):
             if placement.through is not None:
@@ -409,7 +411,7 @@ class _Internal:
         rates = []
         if self.base is not None:
             changed = _inputs(self, t, x, u, p)
-            inner, named = State(x.y, x.z[: self.nz]), _declared_parameters(self.names, p)
+            inner, named = State(x.y, x.z[: self.nz]), _parameters(self, t, x, u, p)
             if isinstance(self.base, _Internal):
                 rate = self.base.direct(t, inner, changed, named, slopes)
             else:
@@ -539,6 +541,17 @@ def _inputs(model: _Dynamics | _Internal, t: Any, x: State, u: Any, p: Any) -> A
                 placement.effect.changed(instant(placement, t, x, u, z), shape)
             )
     return u
+
+
+def _parameters(model: _Dynamics | _Internal, t: Any, x: State, u: Any, p: Any) -> Any:
+    """The parameters of the declared model at an instant, by name."""
+    values = {name: getattr(p, name) for name in model.names}
+    for placement, z in _split_states(model.placed, x.z[model.nz :]):
+        effect = placement.effect
+        if isinstance(effect, AbstractParameterEffect):
+            _, shape = split_parameters(placement, p)
+            values[effect.parameter] *= effect.factor(instant(placement, t, x, u, z), shape)
+    return parameter_type(model.names)(**values)
 
 
 def _forced(model: _Dynamics, t: Any, x: State, inputs: Any, u: Any, p: Any) -> Any:

@@ -117,6 +117,7 @@ CLASSES: Mapping[str, str] = {
     "PowerLoss": "models.effects.outflow",
     "Radiation": "models.effects.outflow",
     "ModulatedSinusoid": "models.effects.products",
+    "ParameterDependence": "models.effects.dependence",
     "InputAction": "models.effects.products",
     "InputProduct": "models.effects.products",
     "Product": "models.effects.products",

@@ -27,12 +27,13 @@ from jaxtyping import Float
 from eoi_jax.compiler.pointwise import along, slopes_along
 from eoi_jax.data.record import Record
 from eoi_jax.estimation.regression.robust_covariance import correlation_time
-from eoi_jax.models.augmented import Placed
+from eoi_jax.models.augmented import Placed, augmented
 from eoi_jax.models.effects.effect import (
     AbstractActuator,
     AbstractCascade,
     AbstractEffect,
     AbstractInputEffect,
+    AbstractParameterEffect,
     AbstractTerm,
     At,
     Seen,
@@ -265,6 +266,8 @@ class LinearisedRuns:
 
         Of each shape of a grid, for each gain.
         """
+        if isinstance(placed.effect, AbstractParameterEffect):
+            return self._with_changed_parameter(placed, grid)
         if not isinstance(placed.effect, AbstractTerm):
             return [self._changed(placed, shape) for shape in grid]
         t, u, y, _ = self.stages
@@ -308,6 +311,18 @@ class LinearisedRuns:
             time, level, rate, channel = map(jnp.asarray, along_runs)
             new[..., i] = np.asarray(effect.changed(At(time, level, rate, channel, None), shape))
         return _drift(self.plant, t, new, y, z) - self._unchanged
+
+    def _with_changed_parameter(self, placed: Placed, grid: np.ndarray) -> list[np.ndarray]:
+        """f with a changed parameter less f; none where it changes internal states, too."""
+        forces = []
+        for shape in grid:
+            values = dict(zip(placed.names, shape.tolist(), strict=True))
+            changed = augmented(self.plant, [placed], values)
+            if not np.array_equal(*(_inner_rates(plant, *self.stages)
+                                    for plant in (self.plant, changed))):  # fmt: skip
+                return []
+            forces.append(_drift(changed, *self.stages) - self._unchanged)
+        return forces
 
     def contribution(self, name: str) -> np.ndarray:
         """What a parameter of the plant adds to y^(r), beside zero, (runs, samples, 3, ny)."""
@@ -375,8 +390,8 @@ def is_tested(effect: AbstractEffect) -> bool:
         return type(effect).outputs_along is not AbstractCascade.outputs_along
     if isinstance(effect, AbstractTerm) and effect.states:
         return type(effect).states_along is not AbstractTerm.states_along
-    forces_alone = isinstance(effect, AbstractTerm | AbstractInputEffect | AbstractActuator)
-    return forces_alone and effect.states == 0
+    known = AbstractTerm | AbstractInputEffect | AbstractActuator | AbstractParameterEffect
+    return isinstance(effect, known) and effect.states == 0
 
 
 def _steps(problem: Problem, unknowns: Unknowns) -> tuple[np.ndarray, ...]:
@@ -448,6 +463,19 @@ def _drift(plant: Plant, *stages: np.ndarray) -> np.ndarray:
     t, u, y, z = map(_as_rows, stages)
     f = along(_rates, ("fixed", "rows", "rows"), plant, (t, y, z), u)
     return f.reshape(*stages[0].shape, -1)
+
+
+def _inner_rates(plant: Plant, *stages: np.ndarray) -> np.ndarray:
+    """g along runs; empty without internal states."""
+    if plant.internal is None:
+        return np.zeros(0)
+    t, u, y, z = map(_as_rows, stages)
+    return along(_rates_inside, ("fixed", "rows"), plant, (t, y, z, u))
+
+
+def _rates_inside(plant: Plant, row: tuple[Any, ...]) -> Any:
+    t, y, z, u = row
+    return plant.internal_rate(t, State(y, z), u, jnp.asarray(plant.theta))
 
 
 def _as_rows(array: np.ndarray) -> np.ndarray:

@@ -8,7 +8,13 @@ import numpy as np
 
 from eoi_jax.discovery.confirm import only_short
 from eoi_jax.discovery.result import Added, Discovery, PartialExplanation, Texts
-from eoi_jax.models.effects import INPUT_EFFECTS, AbstractInternalEffect, Curve, InputCurve
+from eoi_jax.models.effects import (
+    INPUT_EFFECTS,
+    AbstractInternalEffect,
+    Curve,
+    InputCurve,
+    ParameterDependence,
+)
 from eoi_jax.models.effects.effect import labelled
 from eoi_jax.models.equations.display import equation_text
 from eoi_jax.models.input_strength import InputStrength, strengths_of
@@ -166,6 +172,9 @@ def phrase(discovery: Discovery, added: Added) -> str:
         values.append((parameter.name, text))
     if isinstance(added.effect, Curve | InputCurve) or not values:
         return name_and_place
+    if isinstance(added.effect, ParameterDependence):
+        law = added.effect.law(value, added.effect.signal_unit(discovery.plant))
+        return f"{name_and_place} of {values[0][1]}: {law}"
     if len(values) == 1:
         return f"{name_and_place} of {values[0][1]}"
     return f"{name_and_place} ({', '.join(f'{name} {text}' for name, text in values)})"
@@ -174,8 +183,9 @@ def phrase(discovery: Discovery, added: Added) -> str:
 def described(discovery: Discovery, added: Added) -> str:
     """One effect in words, with what tells it apart from others: form and place."""
     description, _, _ = added.sentence.partition(":")
-    # The sentence of a curve says its signal.
-    form = "" if isinstance(added.effect, Curve | InputCurve) else added.effect.form
+    # The sentence of a curve, and of a dependence, says its signal.
+    with_signal = Curve | InputCurve | ParameterDependence
+    form = "" if isinstance(added.effect, with_signal) else added.effect.form
     internal = isinstance(added.effect, AbstractInternalEffect)
     channels = discovery.plant.inputs if _acts_on_input(added) else discovery.plant.outputs
     needs_place = len(channels) > 1 or internal or added.against or added.through

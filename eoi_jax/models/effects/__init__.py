@@ -4,6 +4,8 @@ from eoi_jax.models.effects.coupling import Coupling as Coupling
 from eoi_jax.models.effects.coupling import couplings as couplings
 from eoi_jax.models.effects.curve import Curve as Curve
 from eoi_jax.models.effects.curve import InputCurve as InputCurve
+from eoi_jax.models.effects.dependence import ParameterDependence as ParameterDependence
+from eoi_jax.models.effects.dependence import parameter_dependences as parameter_dependences
 from eoi_jax.models.effects.disturbance import ConstantOffset as ConstantOffset
 from eoi_jax.models.effects.disturbance import Drift as Drift
 from eoi_jax.models.effects.disturbance import SinusoidalDisturbance as SinusoidalDisturbance
@@ -13,6 +15,7 @@ from eoi_jax.models.effects.effect import AbstractCascade as AbstractCascade
 from eoi_jax.models.effects.effect import AbstractEffect as AbstractEffect
 from eoi_jax.models.effects.effect import AbstractInputEffect as AbstractInputEffect
 from eoi_jax.models.effects.effect import AbstractInternalEffect as AbstractInternalEffect
+from eoi_jax.models.effects.effect import AbstractParameterEffect as AbstractParameterEffect
 from eoi_jax.models.effects.effect import AbstractTerm as AbstractTerm
 from eoi_jax.models.effects.effect import At as At
 from eoi_jax.models.effects.effect import Parameter as Parameter

@@ -349,6 +349,30 @@ class AbstractInternalEffect(AbstractEffect):
         """The contribution to y^(r) of the first output [its unit], linear in `gain`."""
 
 
+class AbstractParameterEffect(AbstractEffect):
+    """An effect that replaces a parameter in the equations of the model.
+
+    Attributes:
+        parameter: name of the parameter.
+        acts_on: the output in whose equation it stands; the first one of several, or of all where
+            it stands in that of an internal state.
+    """
+
+    parameter: str
+    acts_on: str
+
+    def channels(self, plant: Plant) -> tuple[str, ...]:
+        return plant.outputs
+
+    def fits(self, plant: Plant, output: int) -> bool:
+        """At one output, of a plant that has the parameter."""
+        return plant.outputs[output] == self.acts_on and self.parameter in plant.names
+
+    @abstractmethod
+    def factor(self, at: At, shape: Any) -> Any:
+        """What stands in place of the parameter, over it."""
+
+
 def labelled(name: str, form: str) -> str:
     """A canonical name with the form of the effect, if it has several."""
     return f"{name} ({form})" if form else name

@@ -71,7 +71,7 @@ class AbstractSignalProduct(AbstractTerm):
     def fits(self, plant: Plant, output: int) -> bool:
         """Whether a plant has all of its signals."""
         del output
-        return all(_is_of(plant, signal) for signal in self.signals)
+        return all(is_of(plant, signal) for signal in self.signals)
 
     def term(self, at: At, gain: Any, shape: Any) -> Any:
         values = (
@@ -91,7 +91,7 @@ def signals_of(plant: Plant) -> tuple[list[Signal], list[Signal]]:
     return outputs, [Signal(name, i, None) for i, name in enumerate(plant.inputs)]
 
 
-def _is_of(plant: Plant, signal: Signal) -> bool:
+def is_of(plant: Plant, signal: Signal) -> bool:
     """Whether a plant has this signal."""
     if signal.row is None:
         return plant.inputs[signal.column : signal.column + 1] == (signal.name,)

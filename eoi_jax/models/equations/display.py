@@ -20,6 +20,7 @@ from eoi_jax.models.effects.effect import (
     AbstractEffect,
     AbstractInputEffect,
     AbstractInternalEffect,
+    AbstractParameterEffect,
     AbstractTerm,
     internal_names,
 )
@@ -229,8 +230,8 @@ def equations_of(plant: Plant, added: Sequence[Any] = ()) -> _System:
         return _equations_in_series(plant, added)
     states = internal_names(plant)
     placements = [_placed(plant, item) for item in added]
-    extended = {p.output for p in placements if not p.on_input and p.through is None}
-    sides = _right_sides(plant, extended)
+    extended = {p.output for p in placements if _adds_term(p)}
+    sides = _with_replaced_parameters(plant, _right_sides(plant, extended), placements)
     outer = zip(plant.outputs, plant.degrees, sides.f, strict=True)
     equations = [Equation(Symbol(name, degree), rhs) for name, degree, rhs in outer]
     inner = zip(states, sides.g, strict=True)
@@ -243,6 +244,8 @@ def equations_of(plant: Plant, added: Sequence[Any] = ()) -> _System:
         if placed.on_input:
             drive = Symbol(plant.inputs[placed.channel])
             changes.append((drive, formulas.changed(drive)))
+        elif isinstance(placed.effect, AbstractParameterEffect):
+            continue
         elif placed.through is not None:
             drive = Symbol(plant.inputs[placed.through])
             changes.append((drive, Operation("+", drive, formulas.term())))
@@ -287,6 +290,37 @@ def _right_sides(plant: Plant, extended: Collection[int]) -> RightSides:
     f = (_unknown(plant, "f" if ny == 1 else f"f{j + 1}") for j in range(ny))
     g = (_unknown(plant, "g" if nz == 1 else f"g{j + 1}") for j in range(nz))
     return RightSides(tuple(f), tuple(g))
+
+
+def _adds_term(placed: Placed) -> bool:
+    """Whether an effect adds something to the equation of its output."""
+    changes = placed.on_input or isinstance(placed.effect, AbstractParameterEffect)
+    return not changes and placed.through is None
+
+
+def _with_replaced_parameters(
+    plant: Plant, sides: RightSides, placements: Sequence[Placed]
+) -> RightSides:
+    """With what stands in place of parameters."""
+    replaced: dict[Symbol, Expression] = {}
+    for placed in placements:
+        if isinstance(placed.effect, AbstractParameterEffect):
+            parameter = Symbol(placed.effect.parameter, parameter=True)
+            factor = _EffectFormulas(plant, placed, len(internal_names(plant))).factor()
+            replaced[parameter] = Operation("*", replaced.get(parameter, parameter), factor)
+    if not replaced:
+        return sides
+
+    def all_of(trees: Iterable[Expression]) -> tuple[Expression, ...]:
+        return tuple(substituted(tree, replaced) for tree in trees)
+
+    coupled = (
+        replace(item, matrix=tuple(map(all_of, item.matrix)), right=all_of(item.right))
+        for item in sides.coupled
+    )
+    f = tuple(tree and substituted(tree, replaced) for tree in sides.f)
+    definitions = ((symbol, substituted(tree, replaced)) for symbol, tree in sides.definitions)
+    return RightSides(f, all_of(sides.g), tuple(coupled), tuple(definitions))
 
 
 def _of_text(text: Equations) -> RightSides:
@@ -392,6 +426,12 @@ class _EffectFormulas:
         driver = self.placed.through
         past = () if driver is None else (Symbol(self._plant.inputs[driver]),)
         return Call(effect.name, (drive, *past, *parameters))
+
+    def factor(self) -> Expression:
+        """What stands in place of a parameter, over it."""
+        effect = self.placed.effect
+        assert isinstance(effect, AbstractParameterEffect)
+        return self._formulas(lambda at, _, shapes: effect.factor(at, shapes))[0]
 
     def rates(self) -> list[Expression]:
         """Rates of its own states."""

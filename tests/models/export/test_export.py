@@ -19,6 +19,7 @@ from eoi_jax import effects
 from eoi_jax.models.augmented import augmented, place
 from eoi_jax.models.effects.curve import Curve, InputCurve
 from eoi_jax.models.effects.library import standard
+from eoi_jax.models.effects.signals import Signal
 from eoi_jax.models.export.names import comment, identifier
 from eoi_jax.models.export.program import program
 from eoi_jax.simulation.initial_state import owned
@@ -130,6 +131,12 @@ MODELS = {
     ),
     "tank_with_all_effects": lambda: with_effects(
         eoi.plants.cascaded_tanks(), every_term(eoi.plants.cascaded_tanks())
+    ),
+    "coefficients": lambda: with_effects(
+        heated(),
+        [effects.ParameterDependence("b", "temperature", (Signal("flow", 0, None),), 0.2, 1.0),
+         effects.ParameterDependence("c", "temperature", (), 0.5, 1.0, linear=True),
+         effects.ConstantOffset()],
     ),
     "cells": lambda: with_effects(
         heated(), [effects.CellsInSeries(4), effects.ConstantOffset(), effects.SensorLag()]
