@@ -7,6 +7,7 @@ with simpler laws where these do as well.
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from itertools import chain
 from typing import NamedTuple
 
 from eoi_jax._status import Status
@@ -39,6 +40,7 @@ from eoi_jax.discovery.task import Task
 from eoi_jax.estimation.holdout import resting_outputs
 from eoi_jax.estimation.identify import Identification
 from eoi_jax.models.augmented import Placed
+from eoi_jax.models.effects import InputAction, ParameterDependence
 from eoi_jax.models.effects.effect import AbstractEffect
 from eoi_jax.models.placements import placements
 from eoi_jax.models.plant import Plant
@@ -81,22 +83,59 @@ def search_injection(
     runs, judging = discovery.windows_after, task.held_out or task.records
     denied_by_runs = task.plant.has_algebraic and bool(beyond_noise(runs, judging))
     quiet = discovery.status.code == "nothing_missing"
-    if discovery.status.code != "unexplained" and not (quiet and denied_by_runs):
+    open_answers = discovery.status.code == "unexplained" or (quiet and denied_by_runs)
+    if not open_answers and not _may_change_parameters(discovery, rare_effects):
         return Searched(discovery)
     if placements(task.plant, rare_effects):
-        wider = replace(task, effects=(*task.effects, *rare_effects))
-        rare_discovery = _answer(
-            wider, *_searched(RoundStart(wider, start.model), progress, rounds[0]), runs_before()
-        )
+        rare_discovery = _with_rare(start, rare_effects, progress, rounds[0], runs_before())
         effects = [added.effect for added in rare_discovery.added]
         named = any(effect in rare_effects for effect in effects)
         few = len(effects) <= max(_RULES.rare_most, len(task.plant.outputs))
-        if named and few and rare_discovery.explained >= _RULES.rare_share:
+        share = max(_RULES.rare_share, 0.0 if open_answers else discovery.explained)
+        if named and few and rare_discovery.explained >= share:
             return Searched(rare_discovery)
-    if quiet:
+    if quiet or not open_answers:
         return Searched(discovery)
     partial = tuple(step[:2] for step in reversed(steps) if not not_simulated(step.model))
     return Searched(discovery, partial, lambda: _lead(task, steps, rounds, runs_before()))
+
+
+def _may_change_parameters(discovery: Discovery, effects: Sequence[AbstractEffect]) -> bool:
+    """Whether an input that the answer adds may change a parameter instead, for more is left.
+
+    Where what it multiplies varies little, it does nearly the same.
+    """
+    actions = (added.effect for added in discovery.added if isinstance(added.effect, InputAction))
+    inputs = {action.signals for action in actions}
+    dependences = (effect for effect in effects if isinstance(effect, ParameterDependence))
+    if discovery.in_sample or inputs.isdisjoint(effect.signals for effect in dependences):
+        return False
+    return bool(beyond_noise(discovery.windows_after, discovery.held_out))
+
+
+def _with_rare(
+    start: RoundStart,
+    rare_effects: Sequence[AbstractEffect],
+    progress: Progress,
+    earlier: RoundResult,
+    prior: FreeRuns,
+) -> Discovery:
+    """The answer where rare effects are tried, too; of dependences on a signal their forms.
+
+    The forms of a dependence differ less than dependences do: they are tried of those that explain.
+    """
+    pairs = sum(isinstance(effect, ParameterDependence) for effect in rare_effects)
+    task = replace(start.task, effects=(*start.task.effects, *rare_effects), pairs=pairs)
+    steps, rounds = _searched(RoundStart(task, start.model), progress, earlier)
+    explaining = {placed.effect for placed in (*rounds[0].ranked.sets[0].keys,
+                                               *(steps[-1].placed if steps else ()))}  # fmt: skip
+    forms = [effect.forms for effect in rare_effects
+             if isinstance(effect, ParameterDependence) and effect in explaining]  # fmt: skip
+    if any(len(alike) > 1 for alike in forms):
+        other = (effect for effect in task.effects if not isinstance(effect, ParameterDependence))
+        task = replace(task, effects=(*other, *chain.from_iterable(forms)))
+        steps, rounds = _searched(RoundStart(task, start.model), progress, rounds[0])
+    return _answer(task, steps, rounds, prior)
 
 
 def without_search(task: Task, progress: Progress) -> Discovery:

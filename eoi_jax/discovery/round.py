@@ -17,8 +17,13 @@ from eoi_jax.discovery.search import Effects, RankedSets, SearchProblem, search_
 from eoi_jax.discovery.set_tests import Decision, decided, held_out_costs
 from eoi_jax.discovery.side_by_side import map_in_threads
 from eoi_jax.models.augmented import Placed, place
-from eoi_jax.models.effects import AsymmetricFriction, ConstantOffset, CoulombFriction
-from eoi_jax.models.effects.effect import AbstractEffect, AbstractParameterEffect, AbstractTerm
+from eoi_jax.models.effects import (
+    AsymmetricFriction,
+    ConstantOffset,
+    CoulombFriction,
+    ParameterDependence,
+)
+from eoi_jax.models.effects.effect import AbstractTerm
 from eoi_jax.models.plant import Plant
 
 _RULES = RULES.round
@@ -143,15 +148,12 @@ def search_round(
 
     # Each effect is a separate kernel: they are compiled in parallel.
     grid = tuple(chain.from_iterable(map_in_threads(task.threads, gridded, candidates)))
-    names = max(len({_counted_as(placed.effect) for placed in candidates}), 1)
+    names = {placed.effect.name for placed in candidates}
+    # Of dependences each pair of a parameter and a signal is one, whichever are left of them.
+    names = max(len(names) + (task.pairs - 1 if ParameterDependence.name in names else 0), 1)
     problem = SearchProblem(start.base, grid, task.alpha, task.max_effects, names, lacking)
     ranked = search_sets(problem, make)
     return RoundResult(start, candidates, ranked, decided(start, ranked, make))
-
-
-def _counted_as(effect: AbstractEffect) -> str:
-    """What is one candidate: an effect, wherever it acts; each pair of a parameter and a signal."""
-    return effect.kind if isinstance(effect, AbstractParameterEffect) else effect.name
 
 
 def read_friction(plant: Plant, fit: Fit) -> dict[Placed, tuple[float, ...]]:

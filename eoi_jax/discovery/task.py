@@ -30,6 +30,7 @@ class Task:
     alpha: float
     max_effects: int
     window: float | None
+    pairs: int = 0  # of a parameter and a signal, whose dependences are tried
 
     @cached_property
     def threads(self) -> int:

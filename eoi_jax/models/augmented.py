@@ -20,7 +20,6 @@ from jaxtyping import Float
 from eoi_jax._checks import check
 from eoi_jax._types import WHERE_SET
 from eoi_jax.models.cascade import Cascade, Stage
-from eoi_jax.models.effects.dependence import ParameterDependence
 from eoi_jax.models.effects.effect import (
     INPUT_EFFECTS,
     AbstractActuator,
@@ -296,8 +295,6 @@ def unit(plant: Plant, placed: Placed, pattern: str) -> str:
         f = plant.units.get(plant.inputs[placed.through], "")
         quotients = quotient_unit(f, y), quotient_unit(f, v)
     units = {"y": y, "v": v, "f": f, "u": u, "f/y": quotients[0], "f/v": quotients[1]}
-    if isinstance(placed.effect, ParameterDependence):
-        units["1/z"] = quotient_unit("1", placed.effect.signal_unit(plant))
     if any(f"{{{key}}}" in pattern and not value for key, value in units.items()):
         return ""
     return pattern.format(**units)

@@ -314,15 +314,15 @@ class LinearisedRuns:
 
     def _with_changed_parameter(self, placed: Placed, grid: np.ndarray) -> list[np.ndarray]:
         """f with a changed parameter less f; none where it changes internal states, too."""
-        forces = []
-        for shape in grid:
-            values = dict(zip(placed.names, shape.tolist(), strict=True))
-            changed = augmented(self.plant, [placed], values)
-            if not np.array_equal(*(_inner_rates(plant, *self.stages)
-                                    for plant in (self.plant, changed))):  # fmt: skip
-                return []
-            forces.append(_drift(changed, *self.stages) - self._unchanged)
-        return forces
+        start = dict(zip(placed.names, grid[-1].tolist(), strict=True))
+        plant = augmented(self.plant, [placed], start)
+        rates, new_rates = (_inner_rates(model, *self.stages) for model in (self.plant, plant))
+        if not np.array_equal(rates, new_rates):
+            return []
+        count = len(self.plant.names)
+        thetas = (np.concatenate([plant.theta[:count], shape]) for shape in grid)
+        drifts = (_drift(plant.with_parameters(theta), *self.stages) for theta in thetas)
+        return [drift - self._unchanged for drift in drifts]
 
     def contribution(self, name: str) -> np.ndarray:
         """What a parameter of the plant adds to y^(r), beside zero, (runs, samples, 3, ny)."""

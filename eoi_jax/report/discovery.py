@@ -173,8 +173,7 @@ def phrase(discovery: Discovery, added: Added) -> str:
     if isinstance(added.effect, Curve | InputCurve) or not values:
         return name_and_place
     if isinstance(added.effect, ParameterDependence):
-        law = added.effect.law(value, added.effect.signal_unit(discovery.plant))
-        return f"{name_and_place} of {values[0][1]}: {law}"
+        return f"{name_and_place} of {values[0][1]}: {added.effect.law(value)}"
     if len(values) == 1:
         return f"{name_and_place} of {values[0][1]}"
     return f"{name_and_place} ({', '.join(f'{name} {text}' for name, text in values)})"

@@ -1,18 +1,24 @@
 r"""Coefficients that depend on a signal: the parameters of a linear parameter-varying (LPV) model.
 
 A resistance, a viscosity, a rate of a reaction or a heat loss changes with a temperature, a load, a
-position, a flow, or with time. A declared parameter p then stands in the equations as
-$p\,e^{a(z - z_0)}$, z the *scheduling signal*; to first order this is $p\,(1 + a\,(z - z_0))$,
-which is the second form. In the neighbourhood of $z_0$ the exponential is the law of S. Arrhenius
-for rates and of O. Reynolds for viscosities. It has the sign of p everywhere, as a resistance has.
-$z_0$ is a constant, the middle of the records: p stays what it was there.
+position, a flow, or with time. A declared parameter p is then multiplied by a law of the
+*scheduling signal* z, of which there are four forms. With $z_0$ a constant in the middle of the
+records and a the relative slope there, so that p stays what it was,
 
-To first order the dependence adds $\partial f/\partial p \cdot p\,(z - z_0)\,a$ to y^(r). Where a
-law of one signal does the same (a square, a cube, a spring, a drift), that law names it.
+| form | in place of p |
+|---|---|
+| exponential | $p\,e^{a(z - z_0)}$: has the sign of p, as a resistance has; viscosities |
+| Arrhenius | $p\,e^{a T_0^2 (1/T_0 - 1/T)}$, T the absolute temperature: rates of reactions |
+| linear | $p\,(1 + a\,(z - z_0))$: metals, what wears |
+| power | $p\,(z/z_0)^{a z_0}$ of a signal that is positive: heat transfer by a flow |
+
+To first order all are $p\,(1 + a\,(z - z_0))$, which adds
+$\partial f/\partial p \cdot p\,(z - z_0)\,a$ to y^(r). Where a law of one signal does the same (a
+square, a cube, a spring, a drift), that law names it.
 
 **Source.** R. Tóth, *Modeling and Identification of Linear Parameter-Varying Systems*, Springer
-2010; O. Reynolds, Phil. Trans. R. Soc. 177 (1886) 157 (viscosity). The test for laws of one signal
-is our own.
+2010; O. Reynolds, Phil. Trans. R. Soc. 177 (1886) 157 (viscosity); S. Arrhenius, Z. phys. Chem. 4
+(1889) 226. The test for laws of one signal is our own.
 """
 
 from collections.abc import Sequence
@@ -24,11 +30,13 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
+from eoi_jax._checks import check, check_choice
 from eoi_jax.compiler.pointwise import along
 from eoi_jax.data.record import Record
 from eoi_jax.models.effects.effect import AbstractParameterEffect, At, Grid, Parameter, Seen
 from eoi_jax.models.effects.signals import Signal, is_of, signals_of
 from eoi_jax.models.plant import Plant, State
+from eoi_jax.models.units import quotient_unit
 
 
 @dataclass(frozen=True)
@@ -55,9 +63,13 @@ class DependenceSettings:
 _SETTINGS = DependenceSettings()
 
 
+_ABSOLUTE_ZERO = {"K": 0.0, "°C": -273.15}  # in units of temperatures
+_FORMS = ("exponential", "Arrhenius", "linear", "power")  # the more, the less they bend upwards
+
+
 @dataclass(frozen=True)
 class ParameterDependence(AbstractParameterEffect):
-    """p exp(a (z - z_0)) or p (1 + a (z - z_0)) in place of p: a coefficient that a signal changes.
+    """p exp(a (z - z_0)), p (1 + a (z - z_0)), …: a coefficient that a signal changes.
 
     Attributes:
         parameter: name of p, a declared parameter.
@@ -65,7 +77,11 @@ class ParameterDependence(AbstractParameterEffect):
         signals: z, an output or an input of the plant; () for time.
         center: z_0 [unit of z].
         reach: largest |z - z_0| in the records, which bounds a [unit of z].
-        linear: whether it is the second form.
+        unit: of z; "" for one that is not known.
+        form_of_law: "exponential", "Arrhenius", "linear" or "power".
+
+    Raises:
+        ValueError: another form, or one that z cannot have.
     """
 
     parameter: str
@@ -73,11 +89,17 @@ class ParameterDependence(AbstractParameterEffect):
     signals: tuple[Signal, ...]
     center: float
     reach: float
-    linear: bool = False
+    unit: str = ""
+    form_of_law: str = "exponential"
 
     name = "parameter_dependence"
     rarity = 1.0  # a product that names a cause beyond the two signals
     depends_on = "t"
+
+    def __post_init__(self) -> None:
+        check_choice("form_of_law", self.form_of_law, _FORMS)
+        rule = "must be one that its signal may have"
+        check(self._may_be(self.form_of_law), "form_of_law", rule, self.form_of_law)
 
     @property
     def signal(self) -> str:
@@ -87,14 +109,14 @@ class ParameterDependence(AbstractParameterEffect):
     @property
     def sentence(self) -> str:  # pyright: ignore[reportIncompatibleVariableOverride]
         """Completes "the model lacks …"."""
-        return f"a dependence of {self.parameter} on {'time' if not self.signals else self.signal}"
+        return f"a dependence of {self.parameter} on {self.signal if self.signals else 'time'}"
 
     @property
     def shapes(self) -> tuple[Parameter, ...]:  # pyright: ignore[reportIncompatibleVariableOverride]
         """a."""
         name = f"{self.parameter}_{self.signals[0].words if self.signals else 'time'}"
         largest = _SETTINGS.largest / self.reach
-        return (Parameter(name, "{1/z}", -largest, largest),)
+        return (Parameter(name, quotient_unit("1", self.unit), -largest, largest),)
 
     @property
     def kind(self) -> str:
@@ -102,52 +124,73 @@ class ParameterDependence(AbstractParameterEffect):
 
     @property
     def form(self) -> str:
-        """Parameter and signal, and the law where it is linear: ``d of temperature, linear``."""
-        return f"{self.parameter} of {self.signal}{', linear' if self.linear else ''}"
+        """Parameter, signal and law: ``d of temperature, linear``; the exponential one is tacit."""
+        law = "" if self.form_of_law == _FORMS[0] else f", {self.form_of_law}"
+        return f"{self.parameter} of {self.signal}{law}"
+
+    @property
+    def forms(self) -> "tuple[ParameterDependence, ...]":
+        """The dependence in each form that its signal may have."""
+        return tuple(replace(self, form_of_law=law) for law in _FORMS if self._may_be(law))
 
     def next_form(self) -> "ParameterDependence | None":
-        return None if self.linear else replace(self, linear=True)
+        later = self.forms[self.forms.index(self) + 1 :]
+        return next(iter(later), None)
+
+    def _may_be(self, law: str) -> bool:
+        absolute = self.unit in _ABSOLUTE_ZERO
+        if law == "Arrhenius":
+            return absolute and self.center - self.reach > _ABSOLUTE_ZERO[self.unit]
+        return law != "power" or (not absolute and self.center > self.reach)
 
     def fits(self, plant: Plant, output: int) -> bool:
         has_signal = all(is_of(plant, signal) for signal in self.signals)
         return has_signal and super().fits(plant, output)
 
-    def signal_unit(self, plant: Plant) -> str:
-        """Unit of z; "" where the plant declares none."""
-        return plant.units.get(self.signals[0].name, "") if self.signals else "s"
-
     def grid(self, seen: Seen) -> Grid:
         return np.array(_SETTINGS.steps)[:, None] / self.reach
 
-    def scheduling(self, at: At) -> Any:
-        """z."""
-        if not self.signals:
-            return at.t
-        (signal,) = self.signals
-        return (
-            at.inputs[signal.column] if signal.row is None else at.state[signal.row][signal.column]
-        )
-
-    def law(self, value: float, unit: str) -> str:
-        """The law with its number: ``d·exp(-0.02·(temperature - 42.5)), twice after -34.7 °C``.
+    def law(self, value: float) -> str:
+        """The law with its number: ``d·exp(-0.02·(temperature - 42.5)), which halves over 35 °C``.
 
         Args:
             value: a.
-            unit: of z.
         """
         sign, center = "+-"[self.center >= 0.0], abs(self.center)
         signal = f"({self.signal} {sign} {center:g})" if center else self.signal
-        if self.linear:
+        if self.form_of_law == "linear":
             return f"{self.parameter}·(1 {'-' if value < 0.0 else '+'} {abs(value):.4g}·{signal})"
+        if self.form_of_law == "power":
+            return f"{self.parameter}·({self.signal}/{center:g})^{value * self.center:.4g}"
+        if self.form_of_law == "Arrhenius":
+            zero = _ABSOLUTE_ZERO[self.unit]
+            absolute = f"({self.signal} + {-zero:g})" if zero else self.signal
+            rise, base = value * (self.center - zero) ** 2, self.center - zero
+            return f"{self.parameter}·exp({rise:.5g} K·(1/{base:g} - 1/{absolute}))"
         law = f"{self.parameter}·exp({value:.4g}·{signal})"
         if not value:
             return law
-        distance = f"{np.log(2.0) / abs(value):.3g} {'' if unit == '1' else unit}".strip()
+        distance = f"{np.log(2.0) / abs(value):.3g} {'' if self.unit == '1' else self.unit}".strip()
         return f"{law}, which {'halves' if value < 0.0 else 'doubles'} over {distance}"
 
     def factor(self, at: At, shape: Any) -> Any:
-        exponent = shape[0] * (self.scheduling(at) - self.center)
-        return 1.0 + exponent if self.linear else jnp.exp(exponent)
+        z, slope, center = self._scheduling(at), shape[0], self.center
+        if self.form_of_law == "linear":
+            return 1.0 + slope * (z - center)
+        if self.form_of_law == "power":
+            ratio = jnp.maximum(z, np.finfo(float).eps * center) / center
+            return jnp.exp(slope * center * jnp.log(ratio))
+        if self.form_of_law == "Arrhenius":
+            zero = _ABSOLUTE_ZERO[self.unit]
+            return jnp.exp(slope * (center - zero) * (z - center) / (z - zero))
+        return jnp.exp(slope * (z - center))
+
+    def _scheduling(self, at: At) -> Any:
+        if not self.signals:
+            return at.t
+        (signal,) = self.signals
+        levels = at.inputs if signal.row is None else at.state[signal.row]
+        return levels[signal.column]
 
 
 def parameter_dependences(
@@ -156,7 +199,7 @@ def parameter_dependences(
     """Dependences of the parameters of a plant on its outputs, its inputs and time.
 
     Those are left out that a law of one signal does as well, and parameters that do the same as
-    another one. They are of the exponential form; `next_form` gives the linear one.
+    another one. They are of the exponential form; `ParameterDependence.forms` has the others.
 
     Args:
         plant: a model, with parameter values.
@@ -181,8 +224,9 @@ def parameter_dependences(
         if reach > _SETTINGS.rests * abs(center):
             centered = _values(points, signal) - center
             signals = () if signal is None else (signal,)
+            unit = "s" if signal is None else plant.units.get(signal.name, "")
             dependences += [
-                ParameterDependence(plant.names[i], plant.outputs[j], signals, center, reach)
+                ParameterDependence(plant.names[i], plant.outputs[j], signals, center, reach, unit)
                 for i, j in _informative(plant, outer, inner, centered, _laws_of_one_signal(points))
             ]
     return tuple(dependences[:most])
@@ -214,7 +258,9 @@ def _informative(
             pairs.append((i, (*acts, 0)[0]))
         elif acts:
             column = (outer[:, :, i] * centered[:, None]).ravel()
-            repeated = any(_share_left(column, earlier[:, None]) < _SETTINGS.equal for earlier in columns)
+            repeated = any(
+                _share_left(column, earlier[:, None]) < _SETTINGS.equal for earlier in columns
+            )
             if not repeated and _share_left(column, laws) >= _SETTINGS.similar:
                 pairs.append((i, acts[0]))
                 columns.append(column)

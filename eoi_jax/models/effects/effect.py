@@ -356,10 +356,12 @@ class AbstractParameterEffect(AbstractEffect):
         parameter: name of the parameter.
         acts_on: the output in whose equation it stands; the first one of several, or of all where
             it stands in that of an internal state.
+        signals: of the plant, on which it depends; () for time.
     """
 
     parameter: str
     acts_on: str
+    signals: tuple[Any, ...]
 
     def channels(self, plant: Plant) -> tuple[str, ...]:
         return plant.outputs

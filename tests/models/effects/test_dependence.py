@@ -35,12 +35,14 @@ def record(samples: int = 400) -> eoi.Record:
                       input_names=("voltage", "temperature"), output_names="speed")  # fmt: skip
 
 
-def dependence(linear: bool = False) -> effects.ParameterDependence:
-    return effects.ParameterDependence("d", "speed", (TEMPERATURE,), 40.0, 20.0, linear)
+def dependence(law: str = "exponential", unit: str = "°C") -> effects.ParameterDependence:
+    return effects.ParameterDependence("d", "speed", (TEMPERATURE,), 40.0, 20.0, unit, law)
 
 
-def slower(linear: bool = False, value: float = -0.02) -> tuple[eoi.Plant, Placed]:
-    placed = place(motor(), dependence(linear), 0)
+def slower(
+    law: str = "exponential", value: float = -0.02, unit: str = "°C"
+) -> tuple[eoi.Plant, Placed]:
+    placed = place(motor(), dependence(law, unit), 0)
     return augmented(motor(), [placed], dict.fromkeys(placed.names, value)), placed
 
 
@@ -50,16 +52,23 @@ def derivative(plant: eoi.Plant, speed: float, voltage: float, temperature: floa
     return float(plant.derivative(jnp.zeros(()), state, u, jnp.asarray(plant.theta))[0])
 
 
-@pytest.mark.parametrize(
-    ("linear", "factor"), [(False, np.exp(-0.02 * 15.0)), (True, 1.0 - 0.02 * 15.0)]
-)
-def test_the_parameter_is_replaced_in_the_equation(linear, factor):
-    plant, placed = slower(linear)
+LAWS = {
+    "exponential": np.exp(-0.02 * 15.0),
+    "Arrhenius": np.exp(-0.02 * 313.15**2 * (1.0 / 313.15 - 1.0 / 328.15)),
+    "linear": 1.0 - 0.02 * 15.0,
+    "power": (55.0 / 40.0) ** (-0.02 * 40.0),
+}
+
+
+@pytest.mark.parametrize(("law", "factor"), LAWS.items())
+def test_the_parameter_is_replaced_in_the_equation(law, factor):
+    unit = "m" if law == "power" else "°C"
+    plant, placed = slower(law, unit=unit)
     assert placed.names == ("parameter_dependence_d_temperature",)
     assert derivative(plant, 3.0, 2.0, 55.0) == pytest.approx(4.0 - 1.5 * factor * 3.0, rel=1e-6)
     # At the centre the parameter is what it was.
     assert derivative(plant, 3.0, 2.0, 40.0) == pytest.approx(derivative(motor(), 3.0, 2.0, 40.0))
-    assert plant.units[placed.names[0]] == "1/°C"
+    assert plant.units[placed.names[0]] == f"1/{unit}"
 
 
 def test_to_first_order_it_is_the_sensitivity_times_the_centred_signal():
@@ -69,13 +78,31 @@ def test_to_first_order_it_is_the_sensitivity_times_the_centred_signal():
     assert slopes[2] == pytest.approx(float(slopes[1]) * 1.5 * 15.0, rel=1e-6)
 
 
-def test_both_forms_agree_to_first_order_and_have_one_kind():
-    first, second = (slower(linear, 1e-4)[0] for linear in (False, True))
-    assert derivative(first, 3.0, 2.0, 55.0) == pytest.approx(derivative(second, 3.0, 2.0, 55.0),
-                                                              rel=1e-5)  # fmt: skip
-    assert dependence().next_form() == dependence(linear=True)
-    assert dependence(linear=True).next_form() is None
-    assert dependence().kind == dependence(linear=True).kind
+def test_all_forms_agree_to_first_order_and_have_one_kind():
+    for unit in ("°C", "m"):
+        forms = dependence(unit=unit).forms
+        values = [derivative(slower(form.form_of_law, 0.02, unit)[0], 3.0, 2.0, 40.1)
+                  for form in forms]  # fmt: skip
+        change = 0.02 * 0.1 * -4.5
+        assert np.array(values) + 0.5 == pytest.approx(change, rel=3e-3)
+        assert {form.kind for form in forms} == {"parameter_dependence d temperature"}
+        chain = [forms[0]]
+        while form := chain[-1].next_form():
+            chain.append(form)
+        assert tuple(chain) == forms
+
+
+def test_a_form_is_one_that_the_signal_may_have():
+    assert [form.form_of_law for form in dependence().forms] == [
+        "exponential", "Arrhenius", "linear"
+    ]  # fmt: skip
+    assert [form.form_of_law for form in dependence(unit="m").forms] == [
+        "exponential", "linear", "power"
+    ]  # fmt: skip
+    with pytest.raises(ValueError, match="one that its signal may have"):
+        dependence("Arrhenius", "m")
+    with pytest.raises(ValueError, match="form_of_law"):
+        dependence("cubic")
 
 
 def names(plant: eoi.Plant, *records: eoi.Record) -> set[str]:
@@ -151,15 +178,17 @@ def test_it_stands_in_the_equation_in_place_of_the_parameter():
 
 
 def test_its_law_says_over_which_distance_it_doubles():
-    assert dependence().law(-0.02, "°C") == (
-        "d·exp(-0.02·(temperature - 40)), which halves over 34.7 °C"
+    assert dependence().law(-0.02) == "d·exp(-0.02·(temperature - 40)), which halves over 34.7 °C"
+    assert dependence("linear").law(0.02) == "d·(1 + 0.02·(temperature - 40))"
+    assert dependence("power", "m").law(0.02) == "d·(temperature/40)^0.8"
+    assert dependence("Arrhenius").law(0.02) == (
+        "d·exp(1961.3 K·(1/313.15 - 1/(temperature + 273.15)))"
     )
-    assert dependence(linear=True).law(0.02, "°C") == "d·(1 + 0.02·(temperature - 40))"
 
 
-@pytest.mark.parametrize("linear", [False, True])
-def test_a_plant_with_it_is_stored(linear, tmp_path):
-    plant, _ = slower(linear)
+@pytest.mark.parametrize("law", ["exponential", "Arrhenius", "linear"])
+def test_a_plant_with_it_is_stored(law, tmp_path):
+    plant, _ = slower(law)
     save(plant, tmp_path / "plant.npz")
     assert derivative(load(tmp_path / "plant.npz"), 3.0, 2.0, 55.0) == derivative(
         plant, 3.0, 2.0, 55.0

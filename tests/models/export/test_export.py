@@ -135,7 +135,7 @@ MODELS = {
     "coefficients": lambda: with_effects(
         heated(),
         [effects.ParameterDependence("b", "temperature", (Signal("flow", 0, None),), 0.2, 1.0),
-         effects.ParameterDependence("c", "temperature", (), 0.5, 1.0, linear=True),
+         effects.ParameterDependence("c", "temperature", (), 0.5, 1.0, "s", "linear"),
          effects.ConstantOffset()],
     ),
     "cells": lambda: with_effects(
