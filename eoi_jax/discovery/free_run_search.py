@@ -273,6 +273,8 @@ class Search:
         self, best: Judged, effects: Sequence[AbstractEffect], level: float
     ) -> list[Model]:
         """Models with the effects that a score test says most of, then with an offset."""
+        if not best.refinement.status.ok:
+            return []  # of a fit without an answer no score test is one
         plant = best.refinement.plant
         offsets = [effect for effect in effects if isinstance(effect, ConstantOffset)]
         # What has no linear test: none at all would find it.

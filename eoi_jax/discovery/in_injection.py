@@ -89,7 +89,8 @@ def search_injection(
     if placements(task.plant, rare_effects):
         rare_discovery = _with_rare(start, rare_effects, progress, rounds[0], runs_before())
         effects = [added.effect for added in rare_discovery.added]
-        named = any(effect in rare_effects for effect in effects)
+        named = any(isinstance(effect, ParameterDependence) or effect in rare_effects
+                    for effect in effects)  # fmt: skip
         few = len(effects) <= max(_RULES.rare_most, len(task.plant.outputs))
         share = max(_RULES.rare_share, 0.0 if open_answers else discovery.explained)
         if named and few and rare_discovery.explained >= share:

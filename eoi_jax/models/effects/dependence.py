@@ -178,8 +178,7 @@ class ParameterDependence(AbstractParameterEffect):
         if self.form_of_law == "linear":
             return 1.0 + slope * (z - center)
         if self.form_of_law == "power":
-            ratio = jnp.maximum(z, np.finfo(float).eps * center) / center
-            return jnp.exp(slope * center * jnp.log(ratio))
+            return (jnp.abs(z) / center) ** (slope * center)
         if self.form_of_law == "Arrhenius":
             zero = _ABSOLUTE_ZERO[self.unit]
             return jnp.exp(slope * (center - zero) * (z - center) / (z - zero))
