@@ -57,6 +57,7 @@ from eoi_jax.estimation.lowpass import LowPass
 from eoi_jax.estimation.preparation import PreparedRecords, prepare_records
 from eoi_jax.models.check_records import check_records
 from eoi_jax.models.effects import (
+    ParameterDependence,
     couplings,
     input_actions,
     input_products,
@@ -261,7 +262,8 @@ class _Search:
             return replace(searched, discovery=discovery)
         task = Task(
             self.plant, prepared, records, held_out, effects, declared, self.alpha, self.most,
-            self.window,
+            self.window, len({effect.kind for effect in (*effects, *rare_effects)
+                              if isinstance(effect, ParameterDependence)}),
         )  # fmt: skip
         resolved = declared.status.code != "undersampled"
         if resolved:

@@ -77,6 +77,7 @@ def search_injection(
             no_data = replace(task.declared, status=Status("no_data", reason))
             return Searched(failed(no_data, task.held_out, task.records))
         steps, rounds = _searched(start, progress)
+        task, steps, rounds = _with_forms(start, steps, rounds, progress)
         progress("fitting again, free runs", 1 + _RULES.rounds, STAGES)
         discovery = _answer(task, steps, rounds, runs_before())
     # Of outputs that are functions of the states, free runs are not searched where they contradict.
@@ -121,22 +122,29 @@ def _with_rare(
     earlier: RoundResult,
     prior: FreeRuns,
 ) -> Discovery:
-    """The answer where rare effects are tried, too; of dependences on a signal their forms.
+    """The answer where rare effects are tried, too."""
+    task = replace(start.task, effects=(*start.task.effects, *rare_effects))
+    start = RoundStart(task, start.model)
+    return _answer(*_with_forms(start, *_searched(start, progress, earlier), progress), prior)
 
-    The forms of a dependence differ less than dependences do: they are tried of those that explain.
+
+def _with_forms(
+    start: RoundStart, steps: list[Step], rounds: list[RoundResult], progress: Progress
+) -> tuple[Task, list[Step], list[RoundResult]]:
+    """The rounds of a search; searched again with all forms of the dependences that explain.
+
+    Forms of one dependence differ less than dependences do.
     """
-    pairs = sum(isinstance(effect, ParameterDependence) for effect in rare_effects)
-    task = replace(start.task, effects=(*start.task.effects, *rare_effects), pairs=pairs)
-    steps, rounds = _searched(RoundStart(task, start.model), progress, earlier)
-    explaining = {placed.effect for placed in (*rounds[0].ranked.sets[0].keys,
-                                               *(steps[-1].placed if steps else ()))}  # fmt: skip
-    forms = [effect.forms for effect in rare_effects
-             if isinstance(effect, ParameterDependence) and effect in explaining]  # fmt: skip
-    if any(len(alike) > 1 for alike in forms):
-        other = (effect for effect in task.effects if not isinstance(effect, ParameterDependence))
-        task = replace(task, effects=(*other, *chain.from_iterable(forms)))
-        steps, rounds = _searched(RoundStart(task, start.model), progress, rounds[0])
-    return _answer(task, steps, rounds, prior)
+    task, added = start.task, steps[-1].placed if steps else ()
+    explaining = {placed.effect for placed in (*rounds[0].ranked.sets[0].keys, *added)}
+    chosen = [effect.forms for effect in task.effects
+              if isinstance(effect, ParameterDependence) and effect in explaining]  # fmt: skip
+    forms = set(chain.from_iterable(chosen))
+    if forms <= set(task.effects):
+        return task, steps, rounds
+    other = [effect for effect in task.effects if not isinstance(effect, ParameterDependence)]
+    task = replace(task, effects=(*other, *chain.from_iterable(chosen)))
+    return task, *_searched(RoundStart(task, start.model), progress, rounds[0])
 
 
 def without_search(task: Task, progress: Progress) -> Discovery:

@@ -38,7 +38,7 @@ from eoi_jax.models.effects import (
     SecondNode,
     SensorLag,
 )
-from eoi_jax.models.effects.effect import AbstractInputEffect
+from eoi_jax.models.effects.effect import AbstractInputEffect, AbstractParameterEffect
 from eoi_jax.models.placements import ends, placements, position_text
 from eoi_jax.models.plant import Plant
 
@@ -120,6 +120,7 @@ def from_sets(
         wider: laws that contain it and gave way to it in free runs, with their odds there.
     """
     alias = {placed, *(wide for wide in chosen if reads_as(wide, placed))}
+    alias |= {law for effects, _ in sets for law in effects if _is_form_of(law, placed)}
     lowest = min(value for _, value in sets)
     weights = [(effects, float(np.exp(0.5 * (lowest - value)))) for effects, value in sets]
     own = sum(weight for effects, weight in weights if effects & alias)
@@ -140,6 +141,12 @@ def reads_as(wide: Placed, placed: Placed) -> bool:
         placed.effect, ConstantOffset
     )
     return level_and_offset or placed.effect.name in wide.effect.contains
+
+
+def _is_form_of(law: Placed, placed: Placed) -> bool:
+    """Whether both say that the same parameter depends on the same signal."""
+    both = isinstance(law.effect, AbstractParameterEffect) and law.site[1:] == placed.site[1:]
+    return both and law.effect.kind == placed.effect.kind
 
 
 def from_contests(

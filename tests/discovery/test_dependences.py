@@ -1,0 +1,114 @@
+"""Coefficients that depend on a measured signal are found, and only where they are."""
+
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
+
+import eoi_jax as eoi
+
+H = 0.02
+
+
+def slow_signal(draw: np.random.Generator, samples: int) -> np.ndarray:
+    """Between 20 and 60."""
+    place = np.linspace(0.0, 4.3, samples)
+    parts = [np.sin(2.0 * np.pi * (f * place + draw.uniform())) for f in (0.37, 1.0, 1.9)]
+    total = np.sum(parts, axis=0)
+    return 20.0 + 40.0 * (total - np.min(total)) / np.ptp(total)
+
+
+def integrated(rate, start, inputs, period) -> np.ndarray:
+    """States at the samples, by SciPy; inputs are held."""
+    states = [np.array(start, dtype=float)]
+    for row in inputs[:-1]:
+        run = solve_ivp(lambda t, x, w=row: rate(x, w), (0.0, period), states[-1], rtol=1e-8)
+        states.append(run.y[:, -1])
+    return np.array(states)
+
+
+def heated_motor(seed: int, slope: float, noise: float = 1e-3, samples: int = 600) -> eoi.Record:
+    """A speed whose friction falls with the temperature, which was measured."""
+    draw = np.random.default_rng(seed)
+    voltage = np.repeat(draw.uniform(-10.0, 10.0, samples // 12), 12)
+    inputs = np.stack([voltage, slow_signal(draw, samples)], axis=1)
+
+    def rate(x, w):
+        return 3.0 * w[0] - 2.0 * np.exp(slope * (w[1] - 40.0)) * x
+
+    speed = integrated(rate, [0.0], inputs, H)
+    speed += noise * np.std(speed) * draw.standard_normal(speed.shape)
+    return eoi.Record(H * np.arange(samples), inputs, speed, hold="zero",
+                      input_names=("voltage", "temperature"), output_names="speed")  # fmt: skip
+
+
+MOTOR = eoi.plant_from_text(
+    {"speed": "k*voltage - d*speed"}, {"k": 2.0, "d": 1.5}, ["speed"], ["voltage", "temperature"],
+    units={"speed": "rad/s", "voltage": "V", "temperature": "°C"},
+)  # fmt: skip
+NAME = "parameter_dependence_d_temperature"
+
+
+def names(found: eoi.Discovery) -> list[str]:
+    return [added.label for added in found.added]
+
+
+def test_friction_that_falls_with_a_temperature_is_found_among_those_asked_for():
+    tried = ["parameter_dependence", "coulomb_friction", "input_action", "constant_offset"]
+    records = heated_motor(1, -0.02), heated_motor(2, -0.02)
+    found = eoi.discover(MOTOR, records[0], validation=records[1], effects=tried)
+    assert names(found) == ["parameter_dependence (d of temperature)"]
+    assert found.plant.parameters[NAME] == pytest.approx(-0.02, rel=5e-3)
+    assert found.status.code == "complete"
+    assert "a dependence of d on temperature of -0.0" in str(found)
+    assert "which halves over 34." in str(found)
+    assert f"d·exp({NAME}·(temperature - " in str(found)
+
+
+@pytest.mark.slow
+@pytest.mark.long
+@pytest.mark.parametrize("noise", [1e-3, 1e-2])
+def test_it_is_found_among_all_effects(noise):
+    records = heated_motor(1, -0.02, noise), heated_motor(2, -0.02, noise)
+    found = eoi.discover(MOTOR, records[0], validation=records[1])
+    assert names(found) == ["parameter_dependence (d of temperature)"]
+    assert found.plant.parameters[NAME] == pytest.approx(-0.02, rel=0.02)
+
+
+@pytest.mark.slow
+@pytest.mark.long
+@pytest.mark.parametrize("seed", range(4))
+def test_it_is_not_found_where_it_is_not(seed):
+    records = heated_motor(10 + 2 * seed, 0.0, 1e-2), heated_motor(11 + 2 * seed, 0.0, 1e-2)
+    found = eoi.discover(MOTOR, records[0], validation=records[1])
+    assert names(found) == []
+
+
+def tank(seed: int, law, samples: int = 500) -> eoi.Record:
+    """A level whose outflow depends on the temperature of the oil, or of which something else."""
+    draw = np.random.default_rng(seed)
+    inputs = np.stack([np.repeat(draw.uniform(1.0, 6.0, samples // 25), 25),
+                       slow_signal(draw, samples)], axis=1)  # fmt: skip
+    level = integrated(lambda x, w: 0.02 * w[0] - 0.03 * law(w[1]) * np.sqrt(np.maximum(x, 0.0)),
+                       [4.0], inputs, 1.0)  # fmt: skip
+    level += 1e-3 * np.std(level) * draw.standard_normal(level.shape)
+    return eoi.Record(np.arange(samples), inputs, level, hold="zero",
+                      input_names=("pump", "oil"), output_names="level")  # fmt: skip
+
+
+TANK = eoi.plant_from_text(
+    {"level": "k*pump - c*sqrt(level)"}, {"k": 0.03, "c": 0.04}, ["level"], ["pump", "oil"],
+    units={"level": "dm", "pump": "V", "oil": "°C"},
+)  # fmt: skip
+
+
+@pytest.mark.slow
+@pytest.mark.long
+def test_the_form_of_the_law_is_told_and_no_action_of_the_signal_stands_in_for_it():
+    """Where the level varies little, an action of the temperature does nearly the same."""
+    fit, held_out = (tank(seed, lambda oil: 1.0 + 0.012 * (oil - 30.0)) for seed in (1, 2))
+    found = eoi.discover(TANK, fit, validation=held_out)
+    assert names(found) == ["parameter_dependence (c of oil, linear)"]
+    (added,) = found.added
+    (slope,) = added.parameters.values()
+    center = added.effect.center
+    assert slope == pytest.approx(0.012 / (1.0 + 0.012 * (center - 30.0)), rel=0.01)
