@@ -133,10 +133,14 @@ def _with_forms(
 ) -> tuple[Task, list[Step], list[RoundResult]]:
     """The rounds of a search; searched again with all forms of the dependences that explain.
 
-    Forms of one dependence differ less than dependences do.
+    Forms of one dependence differ less than most dependences do. Those that come near are rivals.
     """
-    task, added = start.task, steps[-1].placed if steps else ()
-    explaining = {placed.effect for placed in (*rounds[0].ranked.sets[0].keys, *added)}
+    task, (best, *sets) = start.task, rounds[0].ranked.sets
+    power, placed = start.base.signal_power, [*best.keys, *(steps[-1].placed if steps else ())]
+    for fit in sets:
+        if power(fit.residual) < RULES.search.forms * power(best.residual):
+            placed += fit.keys
+    explaining = {item.effect for item in placed}
     chosen = [effect.forms for effect in task.effects
               if isinstance(effect, ParameterDependence) and effect in explaining]  # fmt: skip
     forms = set(chain.from_iterable(chosen))

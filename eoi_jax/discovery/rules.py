@@ -119,6 +119,8 @@ class SearchRules:
         half: the same of all that they leave.
         trace: share of y^(r) that an effect must explain in any case.
         nested: as `material`, for an effect beside a simpler one that it contains.
+        forms: power that a set leaves over that of the best one, up to which the dependences in it
+            are tried in all forms of their laws. No data were in view.
     """
 
     beam: int = 5
@@ -133,6 +135,7 @@ class SearchRules:
     half: float = 0.5
     trace: float = 1e-8
     nested: float = 5e-4
+    forms: float = 10.0
 
 
 @dataclass(frozen=True)

@@ -93,13 +93,18 @@ class ParameterDependence(AbstractParameterEffect):
     form_of_law: str = "exponential"
 
     name = "parameter_dependence"
-    rarity = 1.0  # a product that names a cause beyond the two signals
     depends_on = "t"
 
     def __post_init__(self) -> None:
         check_choice("form_of_law", self.form_of_law, _FORMS)
         rule = "must be one that its signal may have"
         check(self._may_be(self.form_of_law), "form_of_law", rule, self.form_of_law)
+
+    @property
+    def rarity(self) -> float:  # pyright: ignore[reportIncompatibleVariableOverride]
+        """Of products: where one of k·x and b·u changes with the other signal, b does with x."""
+        driven = any(signal.row is None for signal in self.signals)
+        return 1.5 if driven else 1.0
 
     @property
     def signal(self) -> str:
