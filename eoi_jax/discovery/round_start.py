@@ -6,7 +6,7 @@ from functools import cached_property
 from itertools import islice
 
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Float
 
 from eoi_jax.data.record import Record
 from eoi_jax.discovery.candidates import CandidateColumns, Seen, atoms, seen_at
@@ -20,11 +20,10 @@ from eoi_jax.discovery.task import Task
 from eoi_jax.discovery.wavenumbers import wavenumbers
 from eoi_jax.models.augmented import Placed, augmented, own_states
 from eoi_jax.models.effects import ConstantOffset, PositionRipple
-from eoi_jax.models.effects.effect import AbstractActuator, AbstractParameterEffect
+from eoi_jax.models.effects.effect import AbstractActuator
 from eoi_jax.models.placements import placements
 from eoi_jax.models.plant import Plant
 from eoi_jax.models.step_scales import scaled_step, step_room, step_scales
-from eoi_jax.models.used_inputs import used_inputs
 
 _RULES = RULES.round
 
@@ -105,25 +104,7 @@ class RoundStart:
             for placed in placements(self.model, self.task.effects)
             if placed.site not in present
             and not (placed.on_state and placed.effect.name in spilling)
-            and not self._repeats(placed)
         }
-
-    def _repeats(self, placed: Placed) -> bool:
-        """Whether the model has a dependence of the same parameter on the same signal.
-
-        Or whether an input is changed that does nothing but change parameters.
-        """
-        present = [item.effect for item in self.placed]
-        dependences = [item for item in present if isinstance(item, AbstractParameterEffect)]
-        if not placed.on_input:
-            return placed.effect.kind in {item.kind for item in dependences}
-        changes = {signal.name for item in dependences for signal in item.signals}
-        return self.model.inputs[placed.channel] in changes and not self._drives[placed.channel]
-
-    @cached_property
-    def _drives(self) -> Bool[np.ndarray, " nu"]:
-        """Which inputs the equations of the declared model have."""
-        return np.any(used_inputs(self.task.plant), axis=0)
 
     def columns(
         self, placed: Placed, shapes: Float[np.ndarray, "grid shapes"]

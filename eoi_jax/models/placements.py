@@ -6,15 +6,17 @@ from collections.abc import Sequence
 import numpy as np
 from jaxtyping import Bool
 
-from eoi_jax.models.augmented import Placed, own_states, place
+from eoi_jax.models.augmented import Placed, added_effects, own_states, place
 from eoi_jax.models.effects.effect import (
     INPUT_EFFECTS,
     AbstractActuator,
     AbstractEffect,
     AbstractInternalEffect,
+    AbstractParameterEffect,
     AbstractTerm,
 )
 from eoi_jax.models.plant import Plant
+from eoi_jax.models.used_inputs import used_inputs
 
 
 def position_text(channel: str, against: str = "", through: str = "") -> str:
@@ -51,11 +53,21 @@ def place_text(plant: Plant, placed: Placed) -> str:
 
 
 def placements(plant: Plant, effects: Sequence[AbstractEffect]) -> list[Placed]:
-    """Every effect at every channel to which it applies."""
+    """Every effect at every channel to which it applies.
+
+    A parameter depends once on a signal. An input that only changes parameters is no actuator.
+    """
     placed, coupled = [], plant.coupled
+    dependences = [item.effect for item in added_effects(plant)
+                   if isinstance(item.effect, AbstractParameterEffect)]  # fmt: skip
+    kinds = {effect.kind for effect in dependences}
+    drives = _drives(plant) if dependences else np.ones(len(plant.inputs), dtype=bool)
     for effect in effects:
+        if effect.kind in kinds:
+            continue
         if isinstance(effect, INPUT_EFFECTS):
-            drivers = [(i, j) for i, j in _drivers(plant, effect) if effect.fits(plant, i)]
+            drivers = [(i, j) for i, j in _drivers(plant, effect)
+                       if drives[i] and effect.fits(plant, i)]  # fmt: skip
             placed += [place(plant, effect, i, None, j) for i, j in drivers]
         else:
             inner = isinstance(effect, AbstractInternalEffect)
@@ -64,6 +76,17 @@ def placements(plant: Plant, effects: Sequence[AbstractEffect]) -> list[Placed]:
             placed += [place(plant, effect, *pair) for pair in _joints(plant, effect)]
             placed += [place(plant, effect, j, None, i) for j, i in _forces(plant, effect, coupled)]
     return placed
+
+
+def _drives(plant: Plant) -> Bool[np.ndarray, " nu"]:
+    """Which inputs do more in a plant than to change parameters."""
+    slopes = {
+        name: 0.0
+        for item in added_effects(plant)
+        if isinstance(item.effect, AbstractParameterEffect)
+        for name in item.names
+    }
+    return np.any(used_inputs(plant.with_parameters(slopes)), axis=0)
 
 
 def _drivers(plant: Plant, effect: AbstractEffect) -> list[tuple[int, int | None]]:
