@@ -25,6 +25,7 @@ from eoi_jax.discovery.additions import added_effect, has_size, uncertain_effect
 from eoi_jax.discovery.confirm import beyond_noise, confirmed, holds
 from eoi_jax.discovery.diagnose import diagnose
 from eoi_jax.discovery.hold_choice import Searched
+from eoi_jax.discovery.judge import error_ratio
 from eoi_jax.discovery.parsimony import Wider, with_simpler_laws
 from eoi_jax.discovery.probability import Standing
 from eoi_jax.discovery.ranking import ranking
@@ -40,7 +41,7 @@ from eoi_jax.discovery.task import Task
 from eoi_jax.estimation.holdout import resting_outputs
 from eoi_jax.estimation.identify import Identification
 from eoi_jax.models.augmented import Placed
-from eoi_jax.models.effects import InputAction, ParameterDependence
+from eoi_jax.models.effects import ParameterDependence
 from eoi_jax.models.effects.effect import AbstractEffect
 from eoi_jax.models.placements import placements
 from eoi_jax.models.plant import Plant
@@ -85,16 +86,11 @@ def search_injection(
     denied_by_runs = task.plant.has_algebraic and bool(beyond_noise(runs, judging))
     quiet = discovery.status.code == "nothing_missing"
     open_answers = discovery.status.code == "unexplained" or (quiet and denied_by_runs)
-    if not open_answers and not _may_change_parameters(discovery, rare_effects):
-        return Searched(discovery)
-    if placements(task.plant, rare_effects):
+    if not open_answers:
+        rare_effects = _dependences_beside(discovery, rare_effects)
+    if rare_effects and placements(task.plant, rare_effects):
         rare_discovery = _with_rare(start, rare_effects, progress, rounds[0], runs_before())
-        effects = [added.effect for added in rare_discovery.added]
-        named = any(isinstance(effect, ParameterDependence) or effect in rare_effects
-                    for effect in effects)  # fmt: skip
-        few = len(effects) <= max(_RULES.rare_most, len(task.plant.outputs))
-        share = max(_RULES.rare_share, 0.0 if open_answers else discovery.explained)
-        if named and few and rare_discovery.explained >= share:
+        if _takes_place(rare_discovery, None if open_answers else discovery, rare_effects):
             return Searched(rare_discovery)
     if quiet or not open_answers:
         return Searched(discovery)
@@ -102,17 +98,37 @@ def search_injection(
     return Searched(discovery, partial, lambda: _lead(task, steps, rounds, runs_before()))
 
 
-def _may_change_parameters(discovery: Discovery, effects: Sequence[AbstractEffect]) -> bool:
-    """Whether an input that the answer adds may change a parameter instead, for more is left.
+def _dependences_beside(
+    discovery: Discovery, effects: Sequence[AbstractEffect]
+) -> tuple[AbstractEffect, ...]:
+    """Dependences of parameters that are tried beside an answer which leaves more than noise.
 
-    Where what it multiplies varies little, it does nearly the same.
+    Most of the residual may have another cause, and what is left be a coefficient that changes. Or
+    an action of the signal stands in for it: where what that multiplies varies little it does the
+    same.
     """
-    actions = (added.effect for added in discovery.added if isinstance(added.effect, InputAction))
-    inputs = {action.signals for action in actions}
-    dependences = (effect for effect in effects if isinstance(effect, ParameterDependence))
-    if discovery.in_sample or inputs.isdisjoint(effect.signals for effect in dependences):
-        return False
-    return bool(beyond_noise(discovery.windows_after, discovery.held_out))
+    runs = discovery.windows_after or discovery.after
+    if discovery.in_sample or not discovery.added or not beyond_noise(runs, discovery.held_out):
+        return ()
+    return tuple(effect for effect in effects if isinstance(effect, ParameterDependence))
+
+
+def _takes_place(
+    rare_discovery: Discovery, rival: Discovery | None, effects: Sequence[AbstractEffect]
+) -> bool:
+    """Whether an answer with rare effects is one, in the place of another answer if there is one.
+
+    In its place held-out free runs must confirm it.
+    """
+    added, most = [item.effect for item in rare_discovery.added], _RULES.rare_most
+    named = any(isinstance(item, ParameterDependence) or item in effects for item in added)
+    share, most = _RULES.rare_share, max(most, len(rare_discovery.plant.outputs))
+    if rival is not None:
+        share, most = max(share, rival.explained), max(most, len(rival.added) + 1)
+        before, after = (answer.windows_after or answer.after for answer in (rival, rare_discovery))
+        if before is None or after is None or error_ratio(after, before) >= _RULES.confirmed:
+            return False
+    return named and len(added) <= most and rare_discovery.explained >= share
 
 
 def _with_rare(
