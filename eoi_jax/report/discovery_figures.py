@@ -5,6 +5,7 @@ from typing import Any
 import numpy as np
 
 from eoi_jax.discovery.result import Added, Discovery
+from eoi_jax.models.effects import AbstractParameterEffect
 from eoi_jax.models.units import derivative_unit
 from eoi_jax.models.velocities import velocity_rows
 from eoi_jax.report.free_runs import FreeRuns, free_run_series, validation_runs
@@ -195,6 +196,8 @@ def _draw_maps(figure: Any, discovery: Discovery) -> None:
 
 def _variable(discovery: Discovery, added: Added) -> str:
     """The variable of an effect: y, v, t, or the name of an input."""
+    if isinstance(added.effect, AbstractParameterEffect):
+        return next((signal.name for signal in added.effect.signals if signal.row is None), "t")
     if added.effect.depends_on != "u":
         return added.effect.depends_on
     inputs = discovery.plant.inputs

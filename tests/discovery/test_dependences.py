@@ -110,5 +110,6 @@ def test_the_form_of_the_law_is_told_and_no_action_of_the_signal_stands_in_for_i
     assert names(found) == ["parameter_dependence (c of oil, linear)"]
     (added,) = found.added
     (slope,) = added.parameters.values()
+    assert isinstance(added.effect, eoi.effects.ParameterDependence)
     center = added.effect.center
     assert slope == pytest.approx(0.012 / (1.0 + 0.012 * (center - 30.0)), rel=0.01)
