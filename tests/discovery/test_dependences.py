@@ -5,6 +5,7 @@ import pytest
 from scipy.integrate import solve_ivp
 
 import eoi_jax as eoi
+from eoi_jax.discovery import round as round_of_search
 
 H = 0.02
 
@@ -113,3 +114,44 @@ def test_the_form_of_the_law_is_told_and_no_action_of_the_signal_stands_in_for_i
     assert isinstance(added.effect, eoi.effects.ParameterDependence)
     center = added.effect.center
     assert slope == pytest.approx(0.012 / (1.0 + 0.012 * (center - 30.0)), rel=0.01)
+
+
+def test_a_score_test_of_free_runs_says_which_parameter_changes():
+    record = heated_motor(3, -0.005, samples=300)
+    refinement = eoi.refine(MOTOR, record)
+    pairs = eoi.effects.parameter_dependences(MOTOR, [record])
+    tested = eoi.remaining(refinement, [*pairs, eoi.effects.CoulombFriction()])
+    best = tested.ranking[0]
+    assert best.placed[0].effect.form == "d of temperature"
+    assert best.share > 0.9
+
+
+def test_of_a_parameter_of_an_internal_state_there_is_no_score():
+    plant = eoi.plant_from_text(
+        {"speed": "k*force - d*speed", "force": "(voltage - force)/lag"},
+        {"k": 3.0, "d": 2.0, "lag": 0.1}, ["speed"], ["voltage", "temperature"],
+        initial={"force": 0.0},
+    )  # fmt: skip
+    record = heated_motor(3, -0.005, samples=300)
+    pairs = eoi.effects.parameter_dependences(plant, [record])
+    assert "lag of temperature" in {effect.form for effect in pairs}
+    tested = eoi.remaining(eoi.refine(plant, record), pairs)
+    forms = {candidate.placed[0].effect.form for candidate in tested.ranking}
+    assert "d of temperature" in forms
+    assert "lag of temperature" not in forms
+
+
+def test_each_pair_of_a_parameter_and_a_signal_counts_as_tried(monkeypatch):
+    """The level of false alarms is for all of them together."""
+    counts = []
+    problem = round_of_search.SearchProblem
+
+    def counted(*arguments):
+        counts.append(arguments[4])
+        return problem(*arguments)
+
+    monkeypatch.setattr(round_of_search, "SearchProblem", counted)
+    record = heated_motor(1, 0.0, 1e-2, samples=300)
+    pairs = eoi.effects.parameter_dependences(MOTOR, [record])
+    eoi.discover(MOTOR, record, effects=["parameter_dependence", "coulomb_friction"])
+    assert counts[0] == len(pairs) + 1

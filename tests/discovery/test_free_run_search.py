@@ -662,3 +662,16 @@ def test_a_further_form_is_tried_only_where_the_fit_has_left_it_a_place(product,
     )
     following = Search((record,), (record,), judge, (base,))._next_forms(model)
     assert (following and vars(following[1].effect)["cells"]) == cells
+
+
+def test_a_model_whose_fit_has_no_answer_is_not_searched_from():
+    """Free runs may not show a parameter of it: what they lack then has no score."""
+    records, judging = (measured(1)[:200],), (measured(2)[:200],)
+    judge = Judge.of(judging, PLATE)
+    assert judge is not None
+    search = Search.begun([PLATE], records, judge)
+    assert search is not None
+    assert search.candidates(search.base, [effects.ConstantOffset()], 0.01)
+    without_trace = replace(search.base.refinement, status=eoi.Status("unidentifiable", "no trace"))
+    hidden = replace(search.base, refinement=without_trace)
+    assert search.candidates(hidden, [effects.ConstantOffset()], 0.01) == []
