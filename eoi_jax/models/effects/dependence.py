@@ -56,7 +56,7 @@ class DependenceSettings:
     similar: float = 1e-3
     equal: float = 1e-9
     rests: float = 1e-9
-    steps: tuple[float, ...] = (-0.8, -0.3, -0.1, 0.1, 0.3, 0.8)
+    steps: tuple[float, ...] = (-0.6, -0.15, 0.15, 0.6)
     largest: float = 3.0
 
 
