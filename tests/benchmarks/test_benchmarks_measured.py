@@ -18,6 +18,7 @@ from benchmarks.measured.found_cases import FIRST, FOUND
 from benchmarks.measured.found_driven_cases import DRIVEN
 from benchmarks.measured.found_fresh_cases import FRESH
 from benchmarks.measured.found_late_cases import LATE
+from benchmarks.measured.found_newest_cases import NEWEST
 from benchmarks.measured.found_sets import sets_directory
 from benchmarks.measured.found_short_cases import SHORT
 
@@ -98,7 +99,9 @@ def test_a_seed_sets_half_of_the_found_cases_aside(seed, cases):
 def test_the_late_cases_are_all_set_aside():
     assert len(LATE) == 8
     assert len(FRESH) == 11
-    assert all(case.aside for case in (*LATE.values(), *FRESH.values()))
+    assert len(NEWEST) == 7
+    aside = (*LATE.values(), *FRESH.values(), *NEWEST.values())
+    assert all(case.aside for case in aside)
 
 
 def test_an_absent_set_is_skipped_with_its_source(monkeypatch, tmp_path, capsys):
