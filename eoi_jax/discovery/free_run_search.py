@@ -319,11 +319,14 @@ class Search:
         return None if trial is None else self._without_turned(trial)
 
     def _without_turned(self, model: Judged) -> Judged:
-        """A model without the declared terms whose place its effects have taken."""
-        names = turned_terms(self.base, model)
-        if not names:
+        """A model without the declared terms whose place its effects have taken.
+
+        Cells in series have no parameter: nothing would be left where they turn all terms.
+        """
+        names, plant = turned_terms(self.base, model), model.refinement.plant
+        if not names or {*names, *plant.fixed} == set(plant.names):
             return model
-        plant = model.refinement.plant.declared_anew(dict.fromkeys(names, 0.0), fixed=names)
+        plant = plant.declared_anew(dict.fromkeys(names, 0.0), fixed=names)
         fit = _fitted(plant, model.placed, self.searched, model.refinement.window, self.judge)
         return model if fit is None or self._of_unknown_size(fit) else fit
 

@@ -91,6 +91,30 @@ def test_a_term_is_left_out_whose_sign_noise_has_turned_beside_a_law(viscous, co
     assert fit.refinement.parameters["cubic_damping"] == pytest.approx(0.05, rel=0.02)
 
 
+def test_terms_stay_where_an_effect_without_parameter_has_turned_all_of_them(monkeypatch):
+    # Cells in series may fit best with all signs turned; there is nothing to estimate without them.
+    time = 0.1 * np.arange(300)
+    flow = 1.0 + 0.5 * np.sin(time)[:, None]
+    plant = eoi.Plant(lambda t, x, u, p: p.renewal * u * (1.0 - x.y[0]), {"renewal": 0.5}, 1,
+                      inputs=("flow",), outputs=("temperature",))  # fmt: skip
+    level = 1.0 - np.exp(-0.5 * (time + 0.5 - 0.5 * np.cos(time)))
+    record = eoi.Record(time, flow, level, hold="linear", input_names=("flow",),
+                        output_names=("temperature",))  # fmt: skip
+    judge = Judge.of((record,), plant)
+    assert judge is not None
+    search = Search.begun([plant], (record,), judge)
+    assert search is not None
+    turned = lambda base, model: ("renewal",)  # noqa: E731
+    monkeypatch.setattr("eoi_jax.discovery.free_run_search.turned_terms", turned)
+    cells = place(plant, effects.CellsInSeries(), 0, through=0)
+    fit = search.fitted(
+        augmented(search.base.refinement.plant, (cells,), {}), (cells,), search.base
+    )
+    assert fit is not None
+    assert fit.placed == (cells,)
+    assert fit.refinement.plant.fixed == ()
+
+
 @pytest.mark.slow
 def test_a_law_comes_in_place_of_a_term_that_held_out_records_do_not_need():
     best = searched(0.0, 0.05)
