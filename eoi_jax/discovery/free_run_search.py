@@ -433,6 +433,31 @@ def long_run_ratio(answer: FreeRunAnswer) -> float:
     return max(error_ratio(best[0], base[0]), error_ratio(fits[0], fits[1]))
 
 
+def contradicted_by_fit(answer: FreeRunAnswer) -> bool:
+    """Whether the records of the fit could confirm the effects of an answer, and do not.
+
+    There the model predicts otherwise than the base, by as much as would lower the errors enough if
+    it were true, and hardly better.
+    """
+    judge = Judge.of(_portion(answer.records), answer.base.refinement.plant)
+    if judge is None:
+        return False
+    base, best = (model.refinement.plant for model in (answer.base, answer.best))
+    return only_otherwise(judge, best, base)
+
+
+def only_otherwise(judge: Judge, trial: Plant, rival: Plant) -> bool:
+    """Whether a model predicts the records of a judge otherwise than another one, hardly better."""
+    runs = [
+        (new, old) for new, old in zip(judge.runs(trial), judge.runs(rival), strict=True) if new
+    ]
+    ratio, least = (
+        np.exp(np.mean([np.log(error(new, old)) for new, old in runs]))
+        for error in (error_ratio, least_error_ratio)
+    )
+    return bool(least < RULES.answer.confirmed <= ratio)
+
+
 def refined(
     plant: Plant, placed: tuple[Placed, ...], records: tuple[Record, ...], judge: Judge
 ) -> Judged | None:

@@ -23,6 +23,7 @@ from eoi_jax.discovery.free_run_search import (
     Model,
     RecordPair,
     Search,
+    contradicted_by_fit,
     exchanged_ratio,
     long_run_ratio,
     refined,
@@ -308,8 +309,9 @@ def answered(discovery: Discovery, answer: FreeRunAnswer, lowpass: LowPass | Non
     It must lower the errors as much as what confirms an effect elsewhere (`confirm.py`): part of an
     effect that the library lacks can lower them a little, too. Where it lowers those of the
     held-out records less, but by more than chance, long runs alone count where short ones tell
-    nothing of it; or the mean over both parts, each predicted by the other. Else it is the lead,
-    and the declared model is refined unless that raises them by more than chance.
+    nothing of it; or the mean over both parts, each predicted by the other. A product names no
+    cause, and is chosen of many: the records of the fit must confirm it, if they can. Else it is
+    the lead, and the declared model is refined unless that raises them by more than chance.
     """
     base, best = answer.base, answer.best
     ratio = float(np.exp(best.error - base.error))
@@ -323,6 +325,8 @@ def answered(discovery: Discovery, answer: FreeRunAnswer, lowpass: LowPass | Non
         exchanged = exchanged_ratio(answer)
         confirms = exchanged < 1.0 and np.sqrt(ratio * exchanged) < RULES.answer.confirmed
         notes = [FitNote(_EXCHANGED.format(exchanged))]
+    if any(isinstance(at.effect, PRODUCTS) for at in best.placed):
+        confirms = confirms and not contradicted_by_fit(answer)
     if best.placed and confirms and not _imitates(discovery, best):
         names, best = labels_of(best.placed), answer.final
         ratio = float(np.exp(best.error - base.error))

@@ -10,7 +10,12 @@ from scipy.signal import lfilter
 import eoi_jax as eoi
 from eoi_jax import effects
 from eoi_jax.discovery import free_run_search, in_free_runs
-from eoi_jax.discovery.free_run_search import FreeRunAnswer, Search, search_free_runs
+from eoi_jax.discovery.free_run_search import (
+    FreeRunAnswer,
+    Search,
+    only_otherwise,
+    search_free_runs,
+)
 from eoi_jax.discovery.judge import Judge, Judged, _standardised, mean_error
 from eoi_jax.discovery.probability import Contest
 from eoi_jax.models.augmented import augmented, place
@@ -235,6 +240,47 @@ def test_the_parts_are_not_exchanged_where_the_records_of_the_fit_are_too_short(
     answer = searched(measured(1), measured(2), [effects.ConstantOffset()])
     short = (measured(1)[:20],)
     assert free_run_search.exchanged_ratio(replace(answer, records=short)) == np.inf
+
+
+SPUN = eoi.Plant(lambda t, x, u, p: u - p.damping * x.y[0], {"damping": 1.2}, 1, inputs=("drive",),
+                 outputs=("speed",))  # fmt: skip
+
+
+def spun(seed, product=0.0):
+    """A drive that is switched, and a product of drive and speed."""
+    time = 0.05 * np.arange(400)
+    drive = np.where((time + seed) % 7.0 < 3.5, 1.0, 0.2)
+    plant = eoi.Plant(lambda t, x, u, p: u - p.damping * x.y[0] - p.product * u * x.y[0],
+                      {"damping": 1.0, "product": product}, 1, inputs=("drive",),
+                      outputs=("speed",))  # fmt: skip
+    run = eoi.simulate(plant, time, drive, 0.5, hold="zero")
+    noise = 0.01 * np.random.default_rng(seed).standard_normal((400, 1))
+    return run.with_outputs(run.outputs + noise, "spun")
+
+
+@pytest.mark.parametrize(
+    ("damping", "otherwise"),
+    [(0.83, True), (1.0, False), (1.19, False)],
+    ids=["as wrong on the other side", "true", "hardly another prediction"],
+)
+def test_a_model_may_predict_otherwise_and_no_better(damping, otherwise):
+    judge = Judge.of((spun(1),), SPUN)
+    assert judge is not None
+    trial = SPUN.with_parameters({"damping": damping})
+    assert only_otherwise(judge, trial, SPUN) == otherwise
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("contradicts", [False, True])
+def test_a_product_that_the_records_of_the_fit_do_not_confirm_is_a_lead(monkeypatch, contradicts):
+    """It names no cause, and is chosen of many."""
+    records = [spun(seed, 0.5) for seed in (1, 2)]
+    if contradicts:
+        monkeypatch.setattr(in_free_runs, "contradicted_by_fit", lambda answer: True)
+    found = eoi.discover(SPUN, records[0], records[1], [Product("u", "y")])
+    lead = found.added if found.lead is None else found.lead.added
+    assert found.effects == (() if contradicts else ("product",))
+    assert [added.effect.name for added in lead] == ["product"]
 
 
 def test_of_a_plant_that_is_unstable_windows_judge_where_whole_runs_are_lost():

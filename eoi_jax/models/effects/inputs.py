@@ -384,9 +384,10 @@ class InputDelay(AbstractActuator):
     def sampled(
         self, time: Float[np.ndarray, " S"], u: Float[np.ndarray, " S"], shapes: Grid
     ) -> Float[np.ndarray, "grid S"]:
-        steps = shapes[:, :1] / (time[1] - time[0])
+        # A trial of a fit may be longer than any record, or no number at all.
+        steps = np.minimum(shapes[:, :1] / (time[1] - time[0]), len(u))
         whole_steps = np.floor(steps)
-        late = np.arange(len(u)) - whole_steps.astype(int)
+        late = np.arange(len(u)) - np.nan_to_num(whole_steps).astype(int)
         current, previous = u[np.maximum(late, 0)], u[np.maximum(late - 1, 0)]
         return current + (steps - whole_steps) * (previous - current)
 

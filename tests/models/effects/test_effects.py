@@ -400,6 +400,17 @@ def test_delay_is_the_shift_of_the_input():
     assert np.max(np.abs(along - shifted)) < 2e-3**2 * 30.0 / 8.0
 
 
+@pytest.mark.parametrize("tau", [1e3, 1e300, np.inf])
+def test_a_delay_longer_than_the_record_leaves_the_first_value(tau):
+    # Trials of a fit may be as long; their steps are more than an integer holds.
+    time = 0.01 * np.arange(50)
+    u = 2.0 + np.sin(9.0 * time)
+    delayed = effects.InputDelay().sampled(time, u, np.array([[tau], [0.01]]))
+    np.testing.assert_allclose(delayed[0], u[0])
+    np.testing.assert_allclose(delayed[1], np.concatenate([u[:1], u[:-1]]))
+    assert np.all(np.isnan(effects.InputDelay().sampled(time, u, np.array([[np.nan]]))))
+
+
 @pytest.mark.parametrize("effect", [effects.InputDelay(), effects.ActuatorLag()], ids=label)
 @pytest.mark.parametrize("tau", [0.0004, 0.0573])
 def test_slope_of_an_actuator_with_its_time_is_that_of_differences(
