@@ -19,7 +19,8 @@ parameters are biased hides right effects from both. The search:
    once more from what is left without the effects that the model can be without.
 5. What can be left out again without a larger error is left out; of the ways in which the records
    may have been made that with the smallest errors of the answer is taken, and of its fits over
-   long and over short runs that on which all records agree, whole and in windows.
+   long and over short runs that which is better on all records, whole and in windows, or by more
+   than chance.
 
 Disturbances in time are not tried: they stand in for what the library lacks.
 """
@@ -53,6 +54,7 @@ from eoi_jax.refinement.refine import refine_once
 from eoi_jax.refinement.remaining import Remaining, remaining
 from eoi_jax.refinement.score_test import Candidate, is_tested
 from eoi_jax.simulation.error_growth import is_lost, returns
+from eoi_jax.simulation.validate import FreeRuns
 
 _RULES = RULES.free_runs
 
@@ -100,17 +102,18 @@ class FreeRunAnswer:
         """Of the fits of that model the judged one, unless another is better on all records.
 
         Between fits of the same parameters the records of the fit tell as much as the few that
-        judge: it must predict them better together, whole and in windows. None is taken that
-        predicts these worse than the base.
+        judge: it must predict them better together, whole and in windows, or by more than chance.
+        None is taken that predicts these worse than the base.
         """
         judge = replace(self.judge, records=(*self.records, *self.judging))
-        final, errors = self.best, None
+        final, runs = self.best, None
         for fit in self.fits[1:]:
             if fit.error < self.base.error:
-                errors = errors or _errors_of_each(judge, final)
-                trial = _errors_of_each(judge, fit)
-                if all(new < old for new, old in zip(trial, errors, strict=True)):
-                    final, errors = fit, trial
+                runs = runs or judge.runs(final.refinement.plant)
+                trial = judge.runs(fit.refinement.plant)
+                pairs = zip(_errors_of_each(trial), _errors_of_each(runs), strict=True)
+                if all(new < old for new, old in pairs) or judge.prefers(trial, runs):
+                    final, runs = fit, trial
         return final
 
 
@@ -503,9 +506,9 @@ def _fitted(
     return Judged(refinement, placed, judge.runs(refinement.plant))
 
 
-def _errors_of_each(judge: Judge, model: Judged) -> list[float]:
-    """Mean errors of the long runs of a model, and of its short ones."""
-    return [mean_error((run, None)) for run in judge.runs(model.refinement.plant) if run]
+def _errors_of_each(runs: FreeRuns) -> list[float]:
+    """Mean errors of long runs, and of short ones."""
+    return [mean_error((run, None)) for run in runs if run]
 
 
 def _portion(records: tuple[Record, ...]) -> tuple[Record, ...]:

@@ -351,6 +351,8 @@ def _block_sums(
 
 
 def _standardised(values: Float[np.ndarray, " blocks"]) -> float:
-    """Mean over its standard error; 0 where there is none."""
-    spread = float(np.std(values, ddof=1)) / np.sqrt(len(values)) if len(values) > 1 else 0.0
-    return float(np.mean(values)) / spread if spread > 0.0 else 0.0
+    """Mean over its standard error; 0 of a single block, which has none."""
+    if len(values) < 2:
+        return 0.0
+    spread = float(np.std(values, ddof=1)) / np.sqrt(len(values))
+    return float(np.mean(values)) / max(spread, np.finfo(float).tiny)

@@ -578,6 +578,8 @@ def test_a_fall_is_measured_by_its_scatter():
     error = np.std(values, ddof=1) / 2.0
     assert _standardised(values) == pytest.approx(2.0 / error)
     assert _standardised(np.ones(1)) == 0.0
+    assert _standardised(np.zeros(4)) == 0.0
+    assert _standardised(-np.ones(4)) < -1e300  # all blocks alike
 
 
 def cooling(t, x, u, p):

@@ -276,3 +276,25 @@ def test_of_fits_alike_all_records_take_another_where_it_is_better_whole_and_in_
         answer = FreeRunAnswer(base, fits, data, judge_of_all, True, 1.0)
         assert answer.best is judged
         assert answer.final is final
+
+
+@pytest.mark.parametrize(("windows", "taken"), [(0.33, True), (0.6, False)])
+def test_of_fits_alike_one_that_is_better_by_more_than_chance_is_taken(windows, taken):
+    """Whole runs improve by two thirds; windows get worse by a tenth and by chance, or by much."""
+    data, spread = (record(np.zeros(COUNT)),), np.linspace(0.5, 1.5, 10)
+
+    class Uneven(Judge):
+        def runs(self, plant):
+            whole, short = ((0.6 * spread, 0.3 * spread) if plant.parameters["b"] == 2.0
+                            else (0.2 * spread[::-1], windows * spread[::-1]))  # fmt: skip
+            return runs_with(whole.tolist())[0], runs_with(short.tolist())[1]
+
+    base, judged, other = (
+        Judged(replace(REFINEMENT, plant=MASS.with_parameters({"b": gain})), placed,
+               runs_with([level] * 10))
+        for gain, placed, level in (
+            (1.0, (), 1.0), (2.0, (FRICTION,), 0.2), (3.0, (FRICTION,), 0.3),
+        )
+    )  # fmt: skip
+    answer = FreeRunAnswer(base, (judged, other), data, Uneven(data, 1.0, 3, 3), True, 1.0)
+    assert answer.final is (other if taken else judged)
