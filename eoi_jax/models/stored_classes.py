@@ -93,6 +93,7 @@ CLASSES: Mapping[str, str] = {
     "InputCurve": "models.effects.curve",
     "InternalFriction": "models.effects.friction",
     "QuadraticDrag": "models.effects.friction",
+    "RateFriction": "models.effects.friction",
     "StribeckFriction": "models.effects.friction",
     "ViscousFriction": "models.effects.friction",
     "ActuatorLag": "models.effects.inputs",

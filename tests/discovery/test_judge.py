@@ -248,3 +248,39 @@ def test_an_input_in_the_unit_of_the_output_is_one_that_the_model_takes_the_outp
         inputs=("command",), outputs=("angle",), units={"command": "rad", "angle": "rad"},
     )  # fmt: skip
     assert len(placements(plant, [effects.ErrorSaturation()])) == places
+
+
+SWING = eoi.Plant(
+    lambda t, x, u, p: -p.stiffness * x.y[0] - p.damping * x.y[1],
+    {"stiffness": 30.0, "damping": 0.2}, 2, inputs=(), outputs=("rate",), units={"rate": "rad/s"},
+)  # fmt: skip
+
+
+def gyroscope(seed, start, dry):
+    """The rate of a swing with dry friction; its time at rest is not recorded."""
+    time = 0.02 * np.arange(400)
+
+    def slope(t, x):
+        return [x[1], -36.0 * x[0] - 0.3 * x[1] - dry * np.tanh(x[1] / 1e-3)]
+
+    run = solve_ivp(slope, (0.0, time[-1]), [start, 0.0], t_eval=time, max_step=2e-3)
+    noise = 2e-3 * np.random.default_rng(seed).standard_normal(len(time))
+    return eoi.Record(
+        time, np.zeros((len(time), 0)), run.y[1] + noise, input_names=(), output_names=("rate",),
+        units={"rate": "rad/s"},
+    )  # fmt: skip
+
+
+@pytest.mark.slow
+@pytest.mark.long
+@pytest.mark.parametrize("dry", [0.0, 0.3])
+def test_dry_friction_is_found_where_the_output_is_the_speed_of_the_motion(dry):
+    """Its derivative is in the model: a jump at each turn, of which `coulomb_friction` has none."""
+    records = gyroscope(1, 0.8, dry), gyroscope(2, 0.5, dry)
+    tried = [*effects.standard(), *effects.wider()] if dry else [effects.RateFriction()]
+    found = eoi.discover(SWING, records[0], records[1], tried)
+    assert found.effects == (("rate_friction",) if dry else ())
+    if dry:
+        level = found.plant.parameters["rate_friction_level"]
+        assert level == pytest.approx(dry, rel=0.1)
+        assert found.plant.parameters["damping"] == pytest.approx(0.3, rel=0.15)

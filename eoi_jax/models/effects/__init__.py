@@ -27,6 +27,7 @@ from eoi_jax.models.effects.friction import CubicDamping as CubicDamping
 from eoi_jax.models.effects.friction import DisplacementDamping as DisplacementDamping
 from eoi_jax.models.effects.friction import InternalFriction as InternalFriction
 from eoi_jax.models.effects.friction import QuadraticDrag as QuadraticDrag
+from eoi_jax.models.effects.friction import RateFriction as RateFriction
 from eoi_jax.models.effects.friction import StribeckFriction as StribeckFriction
 from eoi_jax.models.effects.friction import ViscousFriction as ViscousFriction
 from eoi_jax.models.effects.inputs import ActuatorLag as ActuatorLag

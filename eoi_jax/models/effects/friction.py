@@ -139,6 +139,36 @@ class DisplacementDamping(AbstractFriction):
         return -gain[0] * at.y**2 * at.v
 
 
+class RateFriction(AbstractFriction):
+    """-c d/dt tanh(y/w), y a speed: dry friction of a swing that a gyroscope or geophone shows.
+
+    Where the output of degree two is a speed, its model is the law of motion differentiated. Dry
+    friction -c sign(y) of that law is a jump of y' by 2 c at each turn of the motion, here over the
+    width w. An output y' of sign(y') would be friction against the acceleration.
+    """
+
+    name = "rate_friction"
+    sentence = "dry friction of a motion of which the output is the speed"
+    gains = (Parameter("level", "{v}", lower=0.0),)
+    shapes = (Parameter("width", "{y}", lower=0.0),)
+    depends_on = "y"
+    only_in_free_runs = True
+    needs = "a speed of relative degree two"
+
+    def fits(self, plant: Plant, output: int) -> bool:
+        return mechanical(plant, output) and plant.kinds[plant.outputs[output]] == "speed"
+
+    def shows(self, seen: Seen) -> bool:
+        return turns(seen.y)
+
+    def grid(self, seen: Seen) -> Grid:
+        # Samples that see the jump do not tell a width below a small part of the swing.
+        return np.array([[0.05], [0.15]]) * _rms(seen.y)
+
+    def term(self, at: At, gain: Any, shape: Any) -> Any:
+        return -gain[0] * at.v / shape[0] * (1.0 - jnp.tanh(at.y / shape[0]) ** 2)
+
+
 class AsymmetricViscousFriction(AbstractFriction):
     """-c|v|: viscous friction that differs between the two directions.
 

@@ -10,6 +10,7 @@ from eoi_jax.models.effects.friction import (
     DisplacementDamping,
     InternalFriction,
     QuadraticDrag,
+    RateFriction,
     StribeckFriction,
     ViscousFriction,
 )
@@ -98,10 +99,10 @@ def standard() -> tuple[AbstractEffect, ...]:
 def wider() -> tuple[AbstractEffect, ...]:
     """Effects that `discover` tries in free runs alone, where nothing else is an answer.
 
-    Products of signals, damping with the square of the displacement, a second mass, a second store,
-    a loss with a power of the output, one that saturates, radiation, a yield law, a limited control
-    error, a response to the rate of the input, a lag of the sensor, cells in series (two; a fit
-    goes on to 3, 6 and 12).
+    Products of signals, damping with the square of the displacement, dry friction of a motion of
+    which the output is the speed, a second mass, a second store, a loss with a power of the output,
+    one that saturates, radiation, a yield law, a limited control error, a response to the rate of
+    the input, a lag of the sensor, cells in series (two; a fit goes on to 3, 6 and 12).
 
     Returns:
         One object of each form.
@@ -115,6 +116,7 @@ def wider() -> tuple[AbstractEffect, ...]:
         Product("y", "y", "y"),
         Product("y", "v", "v"),
         DisplacementDamping(),
+        RateFriction(),
         SecondMass(),
         SecondNode(),
         PowerLoss(),
