@@ -6,6 +6,7 @@ is a `ValueError` that names the field with its table, the rule and the value.
 
 import difflib
 import math
+import re
 import tomllib
 from pathlib import Path
 from typing import Annotated, Any, Literal
@@ -455,6 +456,17 @@ def _replacement(path: Path) -> str:
     return f"Did you mean {shell_word(path.parent / close[0])}?" if close else ""
 
 
+def _on_quotes(path: Path, reason: str) -> str:
+    """What to do about a letter outside ASCII at the place where the parser stopped."""
+    place = re.search(r"line (\d+), column (\d+)", reason)
+    if place is None:
+        return ""
+    line, column = (int(number) - 1 for number in place.groups())
+    letter = path.read_text(encoding="utf-8-sig").split("\n")[line][column : column + 1]
+    quoted = f' Names with other letters than A to Z stand in quotes: "{letter}" = 1.0.'
+    return quoted if letter.isalpha() and not letter.isascii() else ""
+
+
 def load(path: Path, max_depth: int = 20) -> Config:
     """Read and check a TOML file.
 
@@ -474,7 +486,7 @@ def load(path: Path, max_depth: int = 20) -> Config:
     except (tomllib.TOMLDecodeError, UnicodeDecodeError, RecursionError) as error:
         deep = isinstance(error, RecursionError)
         reason = "nested too deeply" if deep else printable(str(error))
-        advice = _replacement(path) or f"Parser: {reason}."
+        advice = _replacement(path) or f"Parser: {reason}.{_on_quotes(path, reason)}"
         check(False, "config", "must be a TOML file", path, advice)
         raise
     rule = f"must have at most {max_depth} levels of nested tables and lists"

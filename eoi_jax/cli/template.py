@@ -29,6 +29,7 @@ class DraftSettings:
     """How a draft divides the data and fits the first guess of its parameters."""
 
     held_out: float = 0.3  # share of the samples, at the end
+    shortest: int = 50  # samples of which a part is held out; fewer are all needed for the fit
     bandwidths: float = 4.0  # of the output, within which the first guess is fitted
     # A first-order model is chosen that explains so much of ẏ, or more of it than one of second
     # order explains of ÿ.
@@ -318,13 +319,14 @@ def _data_lines(
     lines += _unwrap_lines(output)
     fitted, held_out = _divided(files, [inspection.parts for inspection in inspections])
     lines += [fitted] if fitted else []
+    mark = "# " if held_out[1].startswith("#") else ""
     lines += [
         '# hold = "zero"                # "zero": inputs held by a converter; "linear"; "smooth";',
         '                               # or by column: { heating = "zero", outdoor = "linear" }',
         *_held_lines(inspection, inputs),
         "# burn_in = 0.0                 # time at the start that is not scored [s]",
         "",
-        f"[validation]                    # {held_out[0]}, which the fit does not use",
+        f"{mark}[validation]                    # {held_out[0]}, which the fit does not use",
         *held_out[1:],
         "",
     ]
@@ -366,6 +368,8 @@ def _divided(
         fitted, held_out = {files[0]: spans[0][:-1]}, {files[0]: spans[0][-1:]}
         return _parts(fitted), ("the last part of the record", _parts(held_out))
     ((start, stop),) = spans[0]
+    if stop - start < _SETTINGS.shortest:
+        return "", ("other data", "# files = []                     # too few samples to divide")
     cut = start + int((1.0 - _SETTINGS.held_out) * (stop - start))
     return f"slice = [{start}, {cut}]", ("the end of the record", f"slice = [{cut}, {stop}]")
 

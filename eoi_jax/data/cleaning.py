@@ -4,6 +4,7 @@ Every function that changes data appends a sentence to its argument `notes`.
 """
 
 from collections.abc import Sequence
+from datetime import UTC, datetime
 from typing import Any, TypeAlias
 
 import numpy as np
@@ -76,7 +77,7 @@ def check_untraced(*signals: Any) -> None:
 
 def read_stamps(time: Any) -> TimeAxis:
     """Stamps in seconds, finite; whether they increase is not checked here."""
-    array = np.asarray(time)
+    array = _without_zone(np.asarray(time))
     if array.dtype.kind in "Mm" and array.size:
         array = (array - array.ravel()[0]) / np.timedelta64(1, "s")
     stamps = _numbers("time", array)
@@ -96,6 +97,19 @@ def read_stamps(time: Any) -> TimeAxis:
         "Drop that row, or use Record.from_period.",
     )
     return stamps
+
+
+def _without_zone(stamps: np.ndarray) -> np.ndarray:
+    """Dates of Python or pandas as datetime64, those of a time zone in UTC; others as they are."""
+    dates = stamps.dtype == object and all(isinstance(stamp, datetime) for stamp in stamps.flat)
+    if not dates or not stamps.size:
+        return stamps
+    zoned = [stamp.tzinfo is not None for stamp in stamps.flat]
+    check(all(zoned) or not any(zoned), "time", "must have a time zone at each date or at none",
+          f"{counted(sum(zoned), 'date')} of {len(zoned)} with one")  # fmt: skip
+    naive = [stamp.astimezone(UTC).replace(tzinfo=None) for stamp in stamps.flat]
+    naive = naive if any(zoned) else list(stamps.flat)
+    return np.asarray(naive, dtype="datetime64[us]").reshape(stamps.shape)
 
 
 def read_signals(name: str, values: Any) -> Signals:
@@ -180,7 +194,7 @@ def drop_repeats(
             "must increase",
             f"{stamps[i]} s at index {i} after {stamps[i - 1]} s",
             "Sort the rows, or split the record where time restarts: by `slice`, or `parts` in the "
-            "config of a command.",
+            "config of a command, which `eoi init` writes.",
         )
     repeats = np.flatnonzero(spacing == 0) + 1
     if not repeats.size:
@@ -323,9 +337,15 @@ def place(
     y: Outputs,
     good: tuple[Mask, OutputMask],
     notes: list[str],
+    hold: Hold = "zero",
 ) -> OnGrid:
-    """Samples that lie on the grid are copied; missing ones are filled in and masked."""
+    """Samples that lie on the grid are copied; missing ones are filled in and masked.
+
+    Between stamps without a usual spacing nothing is missing: inputs follow their hold.
+    """
     count = grid.time.size
+    if grid.scattered:
+        return _scattered(grid, index, u, y, good, notes, hold)
     inputs_known, measured = np.zeros(count, dtype=bool), np.zeros((count, y.shape[1]), dtype=bool)
     inputs_known[index], measured[index] = good
     if count > index.size:
@@ -339,6 +359,33 @@ def place(
     query = np.arange(count, dtype=float)
     position = index.astype(float)
     return fill(position, u, query), fill(position, y, query), inputs_known, measured
+
+
+def _scattered(
+    grid: Grid,
+    index: Int[np.ndarray, " time"],
+    u: Inputs,
+    y: Outputs,
+    good: tuple[Mask, OutputMask],
+    notes: list[str],
+    hold: Hold,
+) -> OnGrid:
+    """Outputs where they were measured, inputs between their samples by their hold."""
+    position, query = index.astype(float), np.arange(grid.time.size, dtype=float)
+    segments, u_finite = runs(good[0]), fill(position, u, position)
+    measured = np.zeros((query.size, y.shape[1]), dtype=bool)
+    measured[index] = good[1]
+    spacing = grid.sample_period * np.diff(index)
+    notes.append(
+        f"Stamps are {spacing.min():.4g} to {spacing.max():.4g} s apart, without a usual spacing: "
+        f"{index.size} samples on a grid of {grid.sample_period:g} s, which has every one of them."
+    )
+
+    def on_grid(word: str, columns: Columns) -> np.ndarray:
+        return hold_inputs(position, u_finite[:, columns], segments, query, word)
+
+    inputs = by_hold(hold, u_finite, on_grid)
+    return inputs, fill(position, y, query), covered(position, segments, query), measured
 
 
 def interpolate(

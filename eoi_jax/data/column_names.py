@@ -30,6 +30,7 @@ _SURROUNDINGS = frozenset((
     "sun", "solar", "insolation", "irradiance", "irradiation", "sonne", "wind", "rain", "regen",
     "feed", "inlet", "inflow", "influent", "zulauf", "door", "vent",
 ))  # fmt: skip
+_PORT = re.compile(r"[fipquvw](in|out)")  # Vin, Qout: of a converter, of a tank
 _ENDINGS = ("soll", "sollwert", "setpoint", "cmd", "ref", "consigne", "consigna")
 
 
@@ -71,9 +72,37 @@ def role_of_name(name: str) -> str:
     if any(word in sent or word.endswith(_ENDINGS) for word in words):
         return "input"
     for word in words:
+        port = _PORT.fullmatch(word)
+        if port:
+            return f"{port[1]}put"
         if word in _INPUT or word in _OUTPUT:
             return "input" if word in _INPUT else "output"
     return ""
+
+
+def separate_references(roles: dict[str, tuple[str, str]], held: set[str]) -> None:
+    """Take references out of the inputs where another input follows them; keep one output.
+
+    Args:
+        roles: with reasons, by column; changed.
+        held: columns that keep their values between changes.
+    """
+    inputs = [key for key, (role, _) in roles.items() if role == "input"]
+    references = [key for key in inputs if is_reference(key)]
+    if len(references) < len(inputs):
+        roles |= dict.fromkeys(references, ("other", "a reference, beside another input"))
+        inputs = [key for key in inputs if key not in references]
+    if any(role == "output" for role, _ in roles.values()):
+        return
+    if len(inputs) == len(roles) == 1 and role_of_name(inputs[0]) != "input":
+        roles[inputs[0]] = ("output", "there must be one, and it is the only column")
+    elif len(inputs) > 1:
+        moving = [key for key in inputs if key not in held] or inputs
+        unnamed = [key for key in moving if role_of_name(key) != "input"] or moving
+        reason = "it comes last by its name"
+        if len(unnamed) == 1:
+            reason = f"it alone is not {'held' if len(moving) == 1 else 'called an input'}"
+        roles[max(unnamed)] = ("output", f"there must be one, and {reason}")
 
 
 # Ends of names that are units whatever stands before them.

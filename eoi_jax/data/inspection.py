@@ -17,7 +17,12 @@ from eoi_jax._checks import RecordWarning, check, check_choice, counted
 from eoi_jax._display import Result, text
 from eoi_jax.data.cleaning import SHORTEST
 from eoi_jax.data.clipping import saturations
-from eoi_jax.data.column_names import is_reference, role_of_name, unit_of_name
+from eoi_jax.data.column_names import (
+    is_reference,
+    role_of_name,
+    separate_references,
+    unit_of_name,
+)
 from eoi_jax.data.input_holds import STAIRCASE
 from eoi_jax.data.readers.limits import MAX_GIGABYTES
 from eoi_jax.data.readers.read_record import read_table
@@ -29,6 +34,7 @@ from eoi_jax.data.time_axis import (
     Clock,
     daylight_saving,
     find_clock,
+    numbers_runs,
     parts_between_restarts,
 )
 from eoi_jax.data.wrapping import Wrapping, course, wrapping
@@ -416,6 +422,8 @@ def _assign_roles(
     for channel in clocked:
         if channel.name in declared:
             roles[channel.name] = (declared[channel.name], "the file says so")
+        elif numbers_runs(numbers.get(channel.name), numbers.get(clock.column)):
+            continue
         elif (
             channel.role == "other" and channel.name in numbers and channel.name not in clock.others
         ):
@@ -432,7 +440,7 @@ def _assign_roles(
         roles |= dict.fromkeys(
             undecided[len(first) :], ("output", "there is no evidence of its role")
         )
-    _separate_references(roles, {channel.name for channel in channels if _is_held(channel)})
+    separate_references(roles, {channel.name for channel in channels if _is_held(channel)})
     labelled = [
         replace(channel, role=roles[channel.name][0], why=roles[channel.name][1])
         if channel.name in roles
@@ -448,22 +456,6 @@ def _assign_roles(
 
 def _is_held(channel: Channel) -> bool:
     return channel.changes is not None and channel.changes <= STAIRCASE
-
-
-def _separate_references(roles: dict[str, tuple[str, str]], held: set[str]) -> None:
-    """Take references out of the inputs where another input follows them; keep one output."""
-    inputs = [key for key, (role, _) in roles.items() if role == "input"]
-    references = [key for key in inputs if is_reference(key)]
-    if len(references) < len(inputs):
-        roles |= dict.fromkeys(references, ("other", "a reference, beside another input"))
-        inputs = [key for key in inputs if key not in references]
-    if len(inputs) > 1 and not any(role == "output" for role, _ in roles.values()):
-        moving = [key for key in inputs if key not in held] or inputs
-        unnamed = [key for key in moving if role_of_name(key) != "input"] or moving
-        only = "it comes last by its name"
-        if len(unnamed) == 1:
-            only = "it alone is not held" if len(moving) == 1 else "it alone is not called an input"
-        roles[max(unnamed)] = ("output", f"there must be one, and {only}")
 
 
 def _role(channel: Channel, values: Float[np.ndarray, " time"]) -> tuple[str, str]:

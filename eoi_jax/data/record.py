@@ -188,7 +188,7 @@ class Record(Result):
             notes += wrap_notes(y_names, y, good[1])  # of jumps that an interpolation divides
             noise = interpolated_noise(grid, stamps, y, arrays[1], good[1], arrays[3], quantum)
         else:
-            arrays = place(grid, grid.index, u, y, good, notes)
+            arrays = place(grid, grid.index, u, y, good, notes, input_hold)
         inputs, outputs, u_valid, measured = arrays
         count = int(np.min(measured.sum(axis=0)))
         check(count >= SHORTEST, "outputs", f"must have at least {SHORTEST} valid samples", count)

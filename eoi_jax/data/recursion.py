@@ -53,4 +53,5 @@ def states(
     right = inputs[:, None, :] * entry[:, None]
     if start is not None and len(right):
         right[0] += transition @ start
-    return substituted(bands, right.reshape(-1, inputs.shape[1])).reshape(right.shape)
+    rows = right.reshape(len(right) * order, inputs.shape[1])
+    return substituted(bands, rows).reshape(right.shape)

@@ -30,6 +30,8 @@ class GridSettings:
     rounding: float = 1e-9  # of sums and quotients of stamps
     gap: float = 2.5  # spacing above which samples are missing; below, a sample is late
     max_growth: float = 10.0  # points of the grid for each stamp; with more, the pauses dominate
+    scatter: float = 4.0  # long over short spacings, from which on there is no usual one
+    most_points: int = 20_000  # of a grid that has every stamp though they have no usual spacing
 
 
 _SETTINGS = GridSettings()
@@ -47,6 +49,8 @@ class Grid:
         deviation: largest distance of a stamp from the straight line through them [periods].
         resolution: step of the clock's last digit [s], where rounding to it explains a
             `deviation` above the tolerance; otherwise 0.
+        scattered: the stamps have no usual spacing, as those of samples taken by hand; the grid is
+            so fine that each lies on it.
     """
 
     time: TimeAxis
@@ -54,6 +58,7 @@ class Grid:
     index: Int[np.ndarray, " stamps"] | None
     deviation: float
     resolution: float
+    scattered: bool = False
 
     @property
     def notes(self) -> tuple[str, ...]:
@@ -71,7 +76,9 @@ def uniform_grid(stamps: TimeAxis) -> Grid:
     step with rounded digits, such as 1/610.35 s, gives neither drift nor jitter. Stamps within
     1e-3 of a period of that line, or within the rounding to the clock's last digit, are on the
     grid. If they scatter around the line by up to half a period, the grid still follows the line.
-    Otherwise the period is the median spacing, and the grid starts at the first stamp.
+    Otherwise the period is the median spacing, and the grid starts at the first stamp. Stamps
+    without a usual spacing (samples taken by hand, more often at first) have no such period: where
+    they are multiples of a step that is not too small, they are the points of that grid.
 
     Args:
         stamps: strictly increasing time [s], at least two.
@@ -81,6 +88,9 @@ def uniform_grid(stamps: TimeAxis) -> Grid:
     """
     spacing = np.diff(stamps)
     period = float(np.median(spacing))
+    scattered = _scattered_grid(stamps)
+    if scattered is not None:
+        return scattered
     _check_regular(stamps, period)
     steps = np.maximum(np.rint(spacing / period), 1).astype(np.int64)
     index = np.concatenate([[0], np.cumsum(steps)])
@@ -483,6 +493,24 @@ def _resolution(stamps: TimeAxis, period: float) -> float:
         if np.max(np.abs(digits - np.rint(digits))) <= slack:
             return 10.0**power
     return 0.0
+
+
+def _scattered_grid(stamps: TimeAxis) -> Grid | None:
+    """The grid that has every stamp, where spacings differ so much that none of them is usual."""
+    short, long = np.quantile(np.diff(stamps), [0.1, 0.9])
+    if long < _SETTINGS.scatter * short:
+        return None
+    elapsed = stamps - stamps[0]
+    unit = _resolution(elapsed, 10.0 * float(np.diff(stamps).min()))
+    if unit == 0.0:
+        return None
+    ticks = np.rint(elapsed / unit).astype(np.int64)
+    divisor = int(np.gcd.reduce(ticks))
+    index, step = ticks // divisor, divisor * unit
+    if index[-1] >= _SETTINGS.most_points:
+        return None
+    time = float(stamps[0]) + step * np.arange(int(index[-1]) + 1)
+    return Grid(time, step, index, 0.0, 0.0, scattered=True)
 
 
 def _snap(period: float, count: int) -> float:

@@ -233,6 +233,19 @@ def parts_between_restarts(
     return long if long and len(ranges) <= settings.most_parts else ((0, len(stamps)),)
 
 
+def numbers_runs(values: np.ndarray | None, stamps: np.ndarray | None) -> bool:
+    """Whether a column changes where the time goes back, and nowhere else: a number of the run.
+
+    Args:
+        values: of the column; None where they are no numbers.
+        stamps: of the clock; None where there is none.
+    """
+    if values is None or stamps is None or len(values) != len(stamps):
+        return False
+    backwards = np.diff(stamps) < 0
+    return bool(backwards.any()) and np.array_equal(np.diff(values) != 0, backwards)
+
+
 def daylight_saving(stamps: np.ndarray, hour: float = 3600.0) -> list[str]:
     """Where local times leave out an hour or have one twice, as clocks are put forward and back.
 

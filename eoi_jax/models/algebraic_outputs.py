@@ -12,6 +12,15 @@ Points = tuple[Array, Array, Array, Array, Array]
 Model = Callable[..., tuple[Array, Array]]
 
 
+def apart(values: Any) -> Any:
+    """Each column moved by an amount of its own: a model may read differences of states only.
+
+    Args:
+        values: on the last axis.
+    """
+    return values + 0.1 * np.sqrt(1.0 + np.arange(values.shape[-1]))
+
+
 def check_algebraic(
     outputs: Sequence[str], algebraic: Bool[np.ndarray, " ny"], model: Model, points: Points
 ) -> None:
@@ -35,8 +44,8 @@ def check_algebraic(
         return np.asarray(f), np.asarray(g)
 
     f, g = values(states, z, theta)
-    moved, _ = values(1.1 * states + 0.1 * ~algebraic, 1.1 * z + 0.1, theta)
-    fitted, _ = values(states, z, 1.1 * theta + 0.1)
+    moved, _ = values(apart(1.1 * states) * ~algebraic, apart(1.1 * z), theta)
+    fitted, _ = values(states, z, apart(1.1 * theta))
     for j, name in enumerate(outputs):
         if not algebraic[j]:
             continue

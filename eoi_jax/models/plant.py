@@ -23,7 +23,8 @@ from eoi_jax._display import text
 from eoi_jax._types import WHERE_SET, Input, Output, Regressor, Scalar
 from eoi_jax.compiler.jax_private import Tracer, inputs_read
 from eoi_jax.compiler.pointwise import along
-from eoi_jax.models.algebraic_outputs import check_algebraic
+from eoi_jax.models.algebraic_outputs import apart, check_algebraic
+from eoi_jax.models.captured_values import with_present_values
 from eoi_jax.models.kinds import checked_kinds, kind_of
 from eoi_jax.models.known_starts import StartItems, checked_starts, internal_start_of, start_table
 from eoi_jax.models.parameters import check_names, limits_of, parameter_type, replaced
@@ -149,8 +150,8 @@ class Plant(eqx.Module):
         check_kind("parameters", parameters, Mapping, "a dict by name")
         for field, mapping in (("bounds", bounds), ("units", units), ("kinds", kinds)):
             check_kind(field, mapping or {}, Mapping, "a dict by name")
-        self.dynamics = dynamics
-        self.internal, self.actuator, self.sampled = internal, actuator, sampled
+        self.dynamics, self.internal = map(with_present_values, (dynamics, internal))
+        self.actuator, self.sampled = actuator, sampled
         self.names = tuple(parameters)
         self.inputs, self.outputs = _name_tuple("inputs", inputs), _name_tuple("outputs", outputs)
         self.fixed = _name_tuple("fixed", fixed)
@@ -627,7 +628,7 @@ def _jumps(structure: Any, theta: tuple[float, ...], dtype: Any) -> Bool[np.ndar
 def _pushed(plant: Plant, probe: tuple[Any, ...]) -> tuple[Array, Array]:
     """|∂f/∂u|, shape (ny, nu); the size of f in units of each input, the same shape."""
     t, y, u, theta = probe
-    x = State(y, plant.internal_start(theta) + 0.1)
+    x = State(y, apart(plant.internal_start(theta)))
     size = jnp.abs(plant.derivative(t, x, u, theta))[:, None] / jnp.abs(u)
     return jnp.abs(plant.input_slopes(t, x, u, theta)), size
 
@@ -637,7 +638,7 @@ def _across_rest(
 ) -> tuple[Array, Array, Array]:
     """Change of f_i across rest of output j at `REST_SPEED` and `ratio` times it; size of f_i."""
     t, y, u, theta = probe
-    x = State(y, plant.internal_start(theta) + 0.1)
+    x = State(y, apart(plant.internal_start(theta)))
 
     def change(distance: float) -> tuple[Array, Array]:
         above_rest = plant._with_velocities(t, x, u, theta, distance)

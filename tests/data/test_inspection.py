@@ -13,7 +13,7 @@ import eoi_jax as eoi
 from eoi_jax._checks import RecordWarning
 from eoi_jax.cli import build, config
 from eoi_jax.cli.template import checked, draft
-from eoi_jax.data.column_names import stem, unit_of_name
+from eoi_jax.data.column_names import role_of_name, stem, unit_of_name
 from eoi_jax.data.inspection import Inspection, _band, inspect
 
 N = 600
@@ -201,13 +201,13 @@ def test_a_reference_stands_beside_an_input(tmp_path, columns, references):
 
 
 def test_what_is_no_signal_is_told_apart(tmp_path):
-    words = np.where(np.arange(N) % 2, "on", "off")
+    words = np.where(np.arange(N) % 2, "left", "right")
     gappy = np.where(np.arange(N) % 10 == 3, np.nan, Y)
     columns = {"t": T, "u": U, "y": gappy, "still": 4.0, "word": words, "empty": np.nan}
     found = inspect(written(tmp_path / "run.csv", **columns))
     assert roles(found)["still"] == roles(found)["empty"] == "constant"
     assert roles(found)["word"] == "text"
-    assert "'off'" in channel(found, "word").why
+    assert "'right'" in channel(found, "word").why
     assert channel(found, "y").missing == N // 10
     assert found.advice[-1] == "Empty or not finite: `y` 60; such samples are masked."
 
@@ -285,7 +285,7 @@ def test_a_wide_file_is_told_in_short(tmp_path):
     ("text", "message"),
     [
         ("t,u,y\n0,1,2\n", "must hold at least 8 rows of numbers, got 1"),
-        ("word\n" + "on\n" * 20, "must hold a column of numbers"),
+        ("word\n" + "left\n" * 20, "must hold a column of numbers"),
         ("", "it holds no data"),
     ],
 )
@@ -568,6 +568,42 @@ def test_dates_that_are_put_forward_or_back_by_an_hour_are_told(tmp_path, day, m
     path.write_text("\n".join(["date,heating,room", *rows]))
     hints = [line for line in inspect(path).advice if "daylight" in line]
     assert [hint[: len(said or "")] for hint in hints] == ([said] if said else [])
+
+
+def test_a_number_of_the_run_is_no_input(tmp_path):
+    number = np.arange(N) // 200 + 1
+    columns = {"run": number, "t": H * (np.arange(N) % 200), "u": U, "y": Y}
+    found = inspect(written(tmp_path / "run.csv", **columns))
+    assert found.inputs == ("u",)
+    assert roles(found)["run"] == "other"
+    # Beside a clock that goes on it is a signal like others.
+    found = inspect(written(tmp_path / "run.csv", **{**columns, "t": T}))
+    assert "run" in found.inputs
+
+
+def test_the_only_column_is_the_output(tmp_path):
+    level = np.exp(-T)
+    level[300:] += 1.0  # it jumps as an input does
+    found = inspect(written(tmp_path / "run.csv", t=T, level=level))
+    assert found.outputs == ("level",)
+
+
+@pytest.mark.parametrize(
+    ("name", "role"), [("vout_V", "output"), ("Vin", "input"), ("qout", "output"), ("uin", "input")]
+)
+def test_what_goes_in_and_comes_out_is_told_by_the_name(name, role):
+    assert role_of_name(name) == role
+
+
+def test_a_draft_of_a_short_record_holds_nothing_out(tmp_path):
+    time = 0.5 * np.arange(20)
+    path, target = tmp_path / "run.csv", tmp_path / "run.toml"
+    written(path, t=time, y=np.exp(-time))
+    target.write_text(checked(draft([inspect(path)], target), target))
+    loaded = config.load(target)
+    assert loaded.validation is None
+    plant = build.plant(loaded, tmp_path)
+    assert len(build.records(loaded, plant, tmp_path)[0]) == 20
 
 
 def test_a_draft_offers_the_hold_of_inputs_that_keep_their_values(tmp_path):

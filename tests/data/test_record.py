@@ -68,6 +68,33 @@ def test_names_come_from_pandas_and_may_be_given():
     np.testing.assert_allclose(record.outputs[:, 0], TIME)
 
 
+def test_scattered_samples_keep_their_instants_and_inputs_their_hold():
+    t = np.array([0.0, 0.1, 0.3, 0.6, 1.0, 2.0, 4.0, 8.0, 12.0])
+    record = Record(t, t**2, np.exp(-t), hold="linear")
+    np.testing.assert_allclose(record.time[record.output_valid[:, 0]], t, atol=1e-12)
+    np.testing.assert_array_equal(record.outputs[record.output_valid], np.exp(-t))
+    np.testing.assert_allclose(record.inputs[:, 0], np.interp(record.time, t, t**2), atol=1e-9)
+    assert record.input_valid.all()
+    held = Record(t, t**2, np.exp(-t), hold="zero")
+    last = np.searchsorted(t, held.time + 1e-6, side="right") - 1
+    np.testing.assert_array_equal(held.inputs[:, 0], t[last] ** 2)
+
+
+@pytest.mark.parametrize("form", [list, pd.DatetimeIndex, pd.Series])
+def test_dates_with_a_time_zone_count_through_the_end_of_summer_time(form):
+    stamps = pd.date_range("2024-10-26", periods=200, freq="15min", tz="Europe/Berlin")
+    stamps = [stamp.to_pydatetime() for stamp in stamps] if form is list else form(stamps)
+    values = np.sin(np.arange(200))
+    np.testing.assert_allclose(Record(stamps, values, values).time, 900.0 * np.arange(200))
+
+
+def test_dates_with_and_without_a_time_zone_are_refused():
+    stamps = list(pd.date_range("2024-10-26", periods=20, freq="1h"))
+    stamps[3] = stamps[3].tz_localize("UTC")
+    with pytest.raises(ValueError, match="`time` must have a time zone at each date or at none"):
+        Record(stamps, TIME[:20], TIME[:20])
+
+
 def test_datetimes_count_in_seconds_from_the_first():
     stamps = pd.date_range("2024-05-01 12:00", periods=N, freq="10ms").to_numpy()
     record = Record(stamps, TIME, TIME)
@@ -294,7 +321,7 @@ def test_what_is_wrong_is_named_with_its_rule_and_value(call, message):
 
 def test_a_clock_whose_samples_never_touch_the_grid_is_an_error():
     # Bursts of two samples: every third spacing is a gap, and few grid points are covered.
-    t = np.cumsum(np.tile([0.3, 1.0, 3.333], 4) + 1e-2 * np.arange(12))
+    t = np.cumsum(np.tile([0.3, 1.0, 3.333], 4) + 1e-2 * np.arange(12)) * np.pi
     with pytest.raises(ValueError, match="`outputs` must have at least 8 valid samples, got "):
         Record(t, t, t)
 

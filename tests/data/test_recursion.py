@@ -29,3 +29,8 @@ def test_the_low_pass_is_that_of_scipy(samples, cutoff):
     # Rounding is of the size of the whole signal, and more the lower the cut-off.
     size = np.max(np.abs(values))
     np.testing.assert_allclose(low_pass(values, cutoff), wanted, rtol=0, atol=1e-12 * size)
+
+
+def test_without_columns_there_is_nothing_to_solve():
+    found = states(np.eye(2), np.ones(2), np.zeros((40, 0)))
+    assert found.shape == (40, 2, 0)

@@ -73,6 +73,28 @@ def test_a_long_pause_is_an_error_that_asks_to_split():
         uniform_grid(stamps)
 
 
+@pytest.mark.parametrize("scale", [1e-3, 1.0, 60.0])
+def test_stamps_without_a_usual_spacing_are_all_on_a_finer_grid(scale):
+    """Blood samples: often at first, seldom later. Their median spacing would lose half of them."""
+    hours = np.array([0, 0.08, 0.25, 0.5, 1, 1.5, 2, 3, 4, 6, 8, 12, 16, 24])
+    grid = uniform_grid(scale * hours)
+    assert grid.scattered
+    assert grid.index is not None
+    assert grid.sample_period == pytest.approx(0.01 * scale)
+    np.testing.assert_allclose(grid.time[grid.index], scale * hours, atol=1e-9 * scale)
+
+
+def test_scattered_stamps_in_multiples_of_more_than_a_digit_have_a_coarse_grid():
+    grid = uniform_grid(np.array([0.0, 15, 30, 45, 90, 180, 240, 480, 960, 1440]))
+    assert (grid.scattered, grid.sample_period) == (True, 15.0)
+
+
+def test_scattered_stamps_that_would_need_too_fine_a_grid_have_none():
+    draw = np.random.default_rng(0)
+    stamps = np.cumsum(draw.exponential(1.0, 200))
+    assert not uniform_grid(stamps).scattered
+
+
 def test_the_grid_of_a_regular_clock_has_the_period_that_was_meant():
     assert uniform_grid(np.arange(24841) * 0.001).sample_period == 0.001
     assert uniform_grid(1e5 + np.arange(24841) * 0.001).sample_period == pytest.approx(1e-3)

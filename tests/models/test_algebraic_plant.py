@@ -133,3 +133,18 @@ def test_two_sensors_of_one_state():
     got = plant.output(jnp.asarray(0.0), x, jnp.zeros(1), jnp.asarray(plant.theta))
     np.testing.assert_allclose(got, [3.0, 2.0])
     assert accelerometer().declared_anew(parameters={"k": 80.0}).degrees == (0,)
+
+
+def test_an_output_may_depend_on_differences_of_states_alone():
+    """Of a body on a wheel, both at rest: equal moves of all states change no spring."""
+
+    def body(t, x, u, p):
+        return p.spring * (x.z[1] - x.z[0])
+
+    def motion(t, x, u, p):
+        return jnp.stack([0.0 * u[0], u[0] - x.z[1]])
+
+    plant = Plant(
+        body, {"spring": 2.0}, 0, internal=motion, internal_initial=lambda p: jnp.zeros(2)
+    )
+    assert plant.degrees == (0,)

@@ -22,6 +22,7 @@ import numpy as np
 from eoi_jax._checks import counted
 from eoi_jax.data.readers.limits import PIECE, Allowance
 from eoi_jax.data.readers.table import Columns, Table
+from eoi_jax.data.readers.words import without_words
 
 _SEPARATORS = (";", "\t", ",", "|", "")  # "" for spaces
 _EMPTY = {"", "nan", "na", "n/a", "#n/a", "null", "none", "-"}
@@ -199,7 +200,7 @@ def _column(key: str, values: Any, decimal: str, notes: list[str]) -> np.ndarray
     array = values.astype(object).where(values.notna(), None).to_numpy()
     if decimal == ",":  # a cell that is no number keeps pandas from converting the column
         array = np.asarray([_with_decimal_point(cell) for cell in array], dtype=object)
-    return array
+    return without_words(key, array, notes)
 
 
 def _with_decimal_point(cell: Any) -> Any:

@@ -24,7 +24,7 @@ from eoi_jax.data.readers.matlab import read_mat
 from eoi_jax.data.readers.table import Columns, Table, add_columns
 from eoi_jax.data.record import Record
 from eoi_jax.data.resampling import Real
-from eoi_jax.data.time_axis import declared_unit, epoch_unit
+from eoi_jax.data.time_axis import daylight_saving, declared_unit, epoch_unit
 from eoi_jax.data.unwrapping import checked_periods, unwrapped_channels
 
 
@@ -115,6 +115,7 @@ def read_record(
     if clock is not None and clock not in factors:
         _check_seconds(clock, table, selected[clock])
     stamps = float(sample_period or 0) * np.arange(count) if clock is None else selected[clock]
+    savings = _daylight_saving(clock, table, selected, rows)
     signals, notes = _unwrapped(selected, unwrap, [*u_columns, *y_columns], stamps, rows)
     record = Record(
         stamps[rows],
@@ -127,7 +128,7 @@ def read_record(
         hold=hold,
         burn_in=burn_in,
     )
-    return record._changed(" ".join(notes))
+    return record._changed(" ".join([*savings, *notes]))
 
 
 # -- choosing columns ---------------------------------------------------------------------
@@ -278,13 +279,27 @@ def _check_seconds(clock: str, table: Table, stamps: np.ndarray) -> None:
     declared = declared_unit(clock, table.units.get(clock, ""))
     dates = clock in table.columns and table.columns[clock].dtype.kind in "Mm"
     if declared is not None and not dates:
-        advice = f"Give `scale` {{{clock!r}: {declared[1]:g}}}, or 1 if it is in seconds after all."
+        advice = (
+            f"Give `scale` {{{clock!r}: {declared[1]:g}}}; or 1, if it is in seconds after all "
+        )
+        advice += f"or the model counts time in {declared[0]}, its rates per {declared[0]}."
         rule = "must be in seconds"
         check(declared[1] == 1.0, f"time[{clock}]", rule, f"a column in {declared[0]}", advice)
     unit = epoch_unit(stamps)
     if unit is not None:
         advice = f"These seem to be {unit[0]} since 1970: give `scale` {{{clock}: {unit[1]:g}}}."
         check(False, f"time[{clock}]", "must be in seconds", f"{stamps[0]:.10g}", advice)
+
+
+def _daylight_saving(clock: str | None, table: Table, picked: Columns, rows: slice) -> list[str]:
+    """Sentences on an hour that dates leave out; dates that have an hour twice are refused."""
+    if clock is None or table.columns[clock].dtype.kind != "M":
+        return []
+    stamps = picked[clock][rows]
+    sentences = daylight_saving(stamps)
+    goes_back = bool(np.any(np.diff(stamps) < 0)) and bool(sentences)
+    check(not goes_back, f"time[{clock}]", "must increase", "an hour twice", " ".join(sentences))
+    return sentences
 
 
 def _rows(chosen: tuple[int, int | None] | None, count: int) -> slice:

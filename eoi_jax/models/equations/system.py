@@ -12,6 +12,7 @@ from collections.abc import Collection, Iterable, Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from graphlib import CycleError, TopologicalSorter
+from keyword import iskeyword
 from typing import Any
 
 import jax.numpy as jnp
@@ -229,7 +230,10 @@ class Equations:
             check(name not in groups["derivatives"], "model.derivatives", rule, repr(name), advice)
         for group, names in groups.items():
             for name in names:
-                advice = "t, pi and the names of functions have a meaning already."
+                advice = "t, pi and the names of functions have a meaning already"
+                advice += (
+                    f", and so has {name} in Python: take {name}_." if iskeyword(name) else "."
+                )
                 rule = "must have names that are identifiers"
                 check(good_name(name), f"model.{group}", rule, repr(name), advice)
                 rule = f"must not have a name of `{group_of_name.get(name)}`"
@@ -364,7 +368,10 @@ def _stacked(trees: Iterable[Expression], values: Mapping[Symbol, Any], dtype: A
 def _number(name: str, text: str) -> float:
     """The known start of an output or of its rate."""
     uses = words(text) - {"pi"}
-    advice = "Leave it out to have it estimated, of each record by itself."
+    advice = "Leave it out to have it estimated, of each record by itself. A start that parameters "
+    advice += (
+        "give, as a dose in a volume, is one of an internal state, which `[model.output]` shows."
+    )
     rule = "must be a number: the start of an output or of its rate is known or not"
     number = np.nan if uses else float(value_of(parse(text, {}, f"model.initial.{name}"), {}, np))
     check(bool(np.isfinite(number)), f"model.initial.{name}", rule, f'"{text}"', advice)

@@ -126,10 +126,10 @@ def test_a_column_without_a_name_is_called_by_its_number(tmp_path):
 def test_columns_of_words_stay_and_others_are_read(tmp_path):
     path = tmp_path / "run.csv"
     lines = rows().splitlines()
-    lines = [f"{line},{'on' if k % 2 else 'off'}" for k, line in enumerate(lines)]
+    lines = [f"{line},{'left' if k % 2 else 'right'}" for k, line in enumerate(lines)]
     path.write_text("t,u,y,state\n" + "\n".join(lines))
     table = read_table(path)
-    assert list(table.columns["state"][:2]) == ["off", "on"]
+    assert list(table.columns["state"][:2]) == ["right", "left"]
     np.testing.assert_allclose(table.columns["y"], Y, atol=1e-12)
     path.write_text("\n".join(lines))  # without a header: no row is lost to it
     assert len(read_table(path).columns["0"]) == N

@@ -1,6 +1,7 @@
 """Stamps since 1970 in a file."""
 
 import numpy as np
+import pandas as pd
 import pytest
 
 import eoi_jax as eoi
@@ -25,3 +26,21 @@ def test_seconds_since_1970_are_read_as_they_are(tmp_path):
     path.write_text("t,u,y\n" + rows)
     record = eoi.read_record(path, time="t", inputs=["u"], outputs=["y"])
     assert record.sample_period == pytest.approx(2.0)
+
+
+def test_local_dates_that_have_an_hour_twice_are_refused_with_the_reason(tmp_path):
+    path = tmp_path / "log.csv"
+    local = pd.date_range("2024-10-26", periods=200, freq="15min", tz="Europe/Berlin")
+
+    def written(form):
+        rows = "".join(f"{stamp},{k % 7},{k % 5}\n" for k, stamp in enumerate(local.strftime(form)))
+        path.write_text("t,u,y\n" + rows)
+
+    written("%Y-%m-%d %H:%M")
+    with pytest.raises(ValueError, match=r"`time\[t\]` must increase, .* daylight saving time"):
+        eoi.read_record(path, time="t", inputs=["u"], outputs=["y"])
+    part = eoi.read_record(path, time="t", inputs=["u"], outputs=["y"], slice=(0, 100))
+    assert part.sample_period == 900.0  # before the clock is put back
+    written("%Y-%m-%d %H:%M%z")
+    record = eoi.read_record(path, time="t", inputs=["u"], outputs=["y"])
+    np.testing.assert_allclose(record.time, 900.0 * np.arange(200))

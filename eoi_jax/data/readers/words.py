@@ -1,0 +1,65 @@
+"""Words in a column of numbers: switches that are logged as ON and OFF, and marks of no value."""
+
+import re
+from collections import Counter
+
+import numpy as np
+
+from eoi_jax._checks import counted
+
+_SWITCHES = (
+    {"on": 1.0, "off": 0.0},
+    {"true": 1.0, "false": 0.0},
+    {"yes": 1.0, "no": 0.0},
+)
+# What historians, meters and home automation write where a sensor gave nothing.
+_NO_VALUE = {
+    "bad", "bad data", "bad input", "bad quality", "comm fail", "fault", "i/o timeout",
+    "invalid", "no data", "no result", "no value", "nodata", "not available", "offline",
+    "over range", "overflow", "overrange", "scan off", "timeout", "unavailable", "under range",
+    "unknown",
+}  # fmt: skip
+_MARKS = re.compile(r"[-–*?#.=_]+$")
+
+
+def without_words(key: str, cells: np.ndarray, notes: list[str]) -> np.ndarray:
+    """A column of text as numbers, if its words are those of a switch or marks of no value.
+
+    Args:
+        key: name of the column.
+        cells: of the type object; None where a cell is empty.
+        notes: to which a sentence on the words is appended.
+
+    Returns:
+        Numbers, NaN for marks of no value; the cells as they are where another word stands in one.
+    """
+    texts = [str(cell).strip().lower() for cell in cells]
+    words = Counter(text for text in texts if not _is_number(text))
+    empty = sum(words.pop(text, 0) for text in ("none", "nan", ""))
+    marks = {word: number for word, number in words.items() if _is_mark(word)}
+    states = words.keys() - marks.keys()
+    switch = next((pair for pair in _SWITCHES if states and states <= pair.keys()), {})
+    has_numbers = sum(words.values()) + empty < len(texts)
+    if not words or bool(switch) == has_numbers or states - switch.keys():
+        return cells
+    if switch:
+        listed = ", ".join(f"{word} is {value:g}" for word, value in switch.items())
+        notes.append(f"`{key}` is a switch: {listed}.")
+    if marks:
+        listed = ", ".join(f"`{word}`" for word in list(marks)[:5])
+        total = counted(sum(marks.values()), "cell")
+        notes.append(f"`{key}` has no number in {total} ({listed}): taken as not measured.")
+    missing = dict.fromkeys((*marks, "none", ""), np.nan)
+    return np.asarray([(missing | switch).get(text, text) for text in texts], dtype=np.float64)
+
+
+def _is_mark(word: str) -> bool:
+    return word in _NO_VALUE or bool(_MARKS.match(word))
+
+
+def _is_number(text: str) -> bool:
+    try:
+        float(text)
+    except ValueError:
+        return False
+    return text != "nan"

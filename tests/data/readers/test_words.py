@@ -1,0 +1,54 @@
+"""Words among numbers: switches, and marks of no value."""
+
+import numpy as np
+import pytest
+
+from eoi_jax._checks import RecordWarning
+from eoi_jax.data.readers.read_record import read_record, read_table
+
+N = 40
+
+
+def written(path, cells):
+    rows = "\n".join(f"{0.1 * k:.1f},{cell},{np.sin(k):.6f}" for k, cell in enumerate(cells))
+    path.write_text(f"t,u,y\n{rows}\n")
+    return path
+
+
+@pytest.mark.parametrize("pair", [("ON", "OFF"), ("true", "false"), ("Yes", "No")])
+def test_a_switch_is_one_and_zero(tmp_path, pair):
+    cells = [pair[k % 3 == 0] for k in range(N)]
+    table = read_table(written(tmp_path / "run.csv", cells))
+    np.testing.assert_array_equal(table.columns["u"], [float(k % 3 != 0) for k in range(N)])
+
+
+def test_a_switch_that_never_moves_is_one_too(tmp_path):
+    table = read_table(written(tmp_path / "run.csv", ["off"] * N))
+    np.testing.assert_array_equal(table.columns["u"], np.zeros(N))
+
+
+@pytest.mark.parametrize("mark", ["unavailable", "Bad Input", "---", "***", "No Data"])
+def test_marks_of_no_value_are_not_measured_and_said(tmp_path, mark):
+    cells = [mark if k in (7, 20) else f"{0.5 * k}" for k in range(N)]
+    path = written(tmp_path / "run.csv", cells)
+    values = read_table(path).columns["u"]
+    want = [np.nan if k in (7, 20) else 0.5 * k for k in range(N)]
+    np.testing.assert_array_equal(values, want)
+    assert any("no number in 2 cells" in note for note in read_table(path).notes)
+    with pytest.warns(RecordWarning, match="2 of 40 samples are not finite"):
+        record = read_record(path, time="t", inputs="y", outputs="u")
+    np.testing.assert_array_equal(np.flatnonzero(~record.valid), [7, 20])
+
+
+@pytest.mark.parametrize(
+    "cells",
+    [
+        ["on" if k % 2 else "left" for k in range(N)],  # of no switch
+        ["on" if k % 2 else "1.5" for k in range(N)],  # a switch or a number?
+        ["torn" if k == 9 else f"{k}" for k in range(N)],  # a word that means nothing
+    ],
+)
+def test_other_words_are_refused(tmp_path, cells):
+    path = written(tmp_path / "run.csv", cells)
+    with pytest.raises(ValueError, match="`u` must be a numeric column"):
+        read_record(path, time="t", inputs="u", outputs="y")
