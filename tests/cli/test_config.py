@@ -420,7 +420,7 @@ def test_a_config_that_is_missing_or_no_toml_is_named(tmp_path: Path):
     with pytest.raises(ValueError, match="must be a TOML file"):
         config.load(written(tmp_path, "name = run"))
     greek = written(tmp_path, 'name = "run"\n[model]\nparameters = { κ = 1.0 }')
-    with pytest.raises(ValueError, match='letters than A to Z stand in quotes: "κ" = 1.0'):
+    with pytest.raises(ValueError, match='letters than A to Z stand in quotes: "κ" = '):
         config.load(greek)
     (tmp_path / "binary.toml").write_bytes(b"\xff\xfe\x00")
     with pytest.raises(ValueError, match="must be a TOML file"):
