@@ -456,15 +456,31 @@ def _replacement(path: Path) -> str:
     return f"Did you mean {shell_word(path.parent / close[0])}?" if close else ""
 
 
-def _on_quotes(path: Path, reason: str) -> str:
-    """What to do about a letter outside ASCII at the place where the parser stopped."""
+def _at_place(path: Path, reason: str) -> str:
+    """The line at which the parser stopped, and what is usually meant there."""
     place = re.search(r"line (\d+), column (\d+)", reason)
     if place is None:
         return ""
-    line, column = (int(number) - 1 for number in place.groups())
-    letter = path.read_text(encoding="utf-8-sig").split("\n")[line][column : column + 1]
-    quoted = f' Names with other letters than A to Z stand in quotes: "{letter}" = 1.0.'
-    return quoted if letter.isalpha() and not letter.isascii() else ""
+    number, column = (int(number) - 1 for number in place.groups())
+    line = path.read_text(encoding="utf-8-sig").split("\n")[number]
+    letter, ending = line[column : column + 1], line[column:].split("#")[0].strip(" ,}]")
+    advice = ""
+    if "\\" in line:
+        advice = "Write a path with /, or in single quotes: 'C:\\data\\run.csv'."
+    elif letter.isalpha() and not letter.isascii():
+        advice = f'Names with other letters than A to Z stand in quotes: "{letter}" = 1.0.'
+    elif not letter.strip() and "{" in line:
+        advice = "Braces end on the line on which they begin. A table of its own, as "
+        advice += "[model.parameters], has a line for each entry."
+    elif re.search(r"\d,\d", line[:column]):
+        advice = "Numbers have a decimal point."
+    elif letter == ":":
+        advice = "Write a = 1.0, not a: 1.0."
+    elif ending in ("True", "False"):
+        advice = f"Write {ending.lower()}."
+    elif letter.isalpha() and "value" in reason:
+        advice = f'Text stands in quotes: "{ending}".'
+    return f" The line: {printable(line.strip())[:120]} {advice}".rstrip()
 
 
 def load(path: Path, max_depth: int = 20) -> Config:
@@ -486,7 +502,7 @@ def load(path: Path, max_depth: int = 20) -> Config:
     except (tomllib.TOMLDecodeError, UnicodeDecodeError, RecursionError) as error:
         deep = isinstance(error, RecursionError)
         reason = "nested too deeply" if deep else printable(str(error))
-        advice = _replacement(path) or f"Parser: {reason}.{_on_quotes(path, reason)}"
+        advice = _replacement(path) or f"Parser: {reason}.{_at_place(path, reason)}"
         check(False, "config", "must be a TOML file", path, advice)
         raise
     rule = f"must have at most {max_depth} levels of nested tables and lists"

@@ -44,6 +44,26 @@ _TOKEN = re.compile(
     r"|(?P<wrong>.)",
     re.DOTALL,
 )
+# Words of other tools, and how an equation says the same.
+_WORDS_ELSEWHERE = {
+    "ln": "Write log(x), the natural logarithm.",
+    "log10": "Write log(x)/log(10).",
+    "sgn": "Write sign(x).",
+    "heaviside": "Write where(x > 0, 1, 0).",
+    "deg": "Write x*180/pi.",
+    "degrees": "Write x*180/pi.",
+    "rad": "Write x*pi/180.",
+    "radians": "Write x*pi/180.",
+    "sec": "Write 1/cos(x).",
+    "mod": "Write rem(x, y).",
+    "pow": "Write x**y.",
+    "e": "Write exp(x) for powers of it, exp(1) for the number.",
+    "delay": "An input has its delay in [model.input_delay].",
+    "diff": "A state has its rate in [model.derivatives]; that of an input is not known.",
+    "der": "A state has its rate in [model.derivatives]; that of an input is not known.",
+    "time": "Write t.",
+    "π": "Write pi.",
+}
 _WORDS = ("and", "or", "not", "if", "else")
 _POWERS = "Write powers with **."
 _PRODUCTS = "Write products with *."
@@ -66,6 +86,8 @@ _ADVICE = {
     ".": "Names are used as they are, without a dot.",
     "[": "Each signal has a name of its own; there are no indices.",
     "&": "Write `and`.",
+    "?": "Write a if condition else b.",
+    "#": "Comments stand behind the closing quote.",
     "!": "Write `not`.",
     ";": _SINGLE_EXPRESSION,
     ":": _SINGLE_EXPRESSION,
@@ -266,8 +288,11 @@ class _Reader:
         max_length: int = 40,
     ) -> ValueError:
         """The error at a name that is not known; lists so many names, and so many characters."""
-        close = difflib.get_close_matches(name, names, n=1)
+        in_capitals = [word for word in (*names, "pi") if word.lower() == name.lower()]
+        close = in_capitals or difflib.get_close_matches(name, names, n=1)
         hint = f"Did you mean {close[0]}? " if close else ""
+        if name.lower() in _WORDS_ELSEWHERE and not in_capitals:
+            hint = f"{_WORDS_ELSEWHERE[name.lower()]} "
         listed = ", ".join(names[:max_names]) + (", …" if len(names) > max_names else "")
         shortened = name if len(name) <= max_length else name[:max_length] + "…"
         return self.wrong(

@@ -78,6 +78,12 @@ def test_every_function_can_be_called():
         ("x - ratee\n", 5, "got ratee"),
         ("  ratee", 3, "got ratee"),
         ("α*x + q", 7, "got q"),  # α takes two bytes, but one column
+        ("ln(x)", 1, r"must use known functions, got ln.*Write log\(x\), the natural"),
+        ("heaviside(x)", 1, r"must use known functions.*Write where\(x > 0, 1, 0\)\. Known"),
+        ("2*X", 3, r"must use declared names, got X.*Did you mean x\?"),
+        ("Pi*x", 1, r"must use declared names, got Pi.*Did you mean pi\?"),
+        ("x*e**(-a)", 3, r"must use declared names, got e.*Write exp\(x\)"),
+        ("x if x > 0 ? a", 12, r"must not hold \?.*Write a if condition else b"),
         ("foo(x)", 1, r"must use known functions, got foo.*Did you mean floor\?"),
         ("sin + x", 1, r"must call the function sin.*Write sin\(…\)"),
         ("sin()", 1, r"must give sin 1 argument, got 0"),
