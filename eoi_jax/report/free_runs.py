@@ -6,6 +6,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float
 
+from eoi_jax._types import Mask
 from eoi_jax.data.cleaning import is_slow
 from eoi_jax.data.record import Record
 from eoi_jax.report.style import BASE, with_unit
@@ -79,7 +80,13 @@ def free_run_series(content: FreeRuns, max_range: float = 3.0) -> TimeSeries:
         mask = content.record.output_valid[:, j] & content.measured
         y = np.where(mask, content.record.outputs[:, j], np.nan)
         slow = is_slow(mask)  # no line: few samples have a neighbour
-        runs = [Signal(run.label, run.outputs[:, j], run.colour, 1.0) for run in content.runs]
+        courses = [run.outputs[:, j] for run in content.runs]
+        if slow:
+            courses = [_joined(course, content.record.input_valid) for course in courses]
+        runs = [
+            Signal(run.label, course, run.colour, 1.0)
+            for run, course in zip(content.runs, courses, strict=True)
+        ]
         errors = [
             Signal(run.label, y - run.outputs[:, j], run.colour, dots=slow) for run in content.runs
         ]
@@ -95,6 +102,22 @@ def free_run_series(content: FreeRuns, max_range: float = 3.0) -> TimeSeries:
         ]
     time = np.asarray(content.record.time)
     return TimeSeries(time, tuple(panels), content.record.data_hash, f"time [s], {content.title}")
+
+
+def _joined(course: Float[np.ndarray, " time"], simulated: Mask) -> Float[np.ndarray, " time"]:
+    """Straight lines between the values of a run that is known at samples only, no run between.
+
+    Args:
+        course: of an output; NaN where it was not measured.
+        simulated: where all inputs are known: elsewhere no run goes on.
+    """
+    (samples,) = np.nonzero(np.isfinite(course))
+    if not samples.size:
+        return course
+    place = np.arange(len(course))
+    lines = np.interp(place, samples, course[samples])
+    inside = (place >= samples[0]) & (place <= samples[-1]) & simulated
+    return np.where(inside, lines, course)
 
 
 # -- detail -----------------------------------------------------------------------------------

@@ -14,6 +14,7 @@ import eoi_jax as eoi
 from eoi_jax.report import discovery_figures, page
 from eoi_jax.report.charts import ChartLimits, chart_data
 from eoi_jax.report.contents import discovery_contents
+from eoi_jax.report.estimate_figures import refined_runs
 from eoi_jax.report.figures import record_series
 from eoi_jax.report.free_runs import free_run_series, worst_series, worst_window
 from eoi_jax.report.residual_correlation import residual_correlation_figure
@@ -121,6 +122,22 @@ def test_errors_are_measurement_less_run_and_figure_and_chart_show_the_same():
     assert charts["free_run"]["record"] == charts["data"]["record"]  # linked
     first = charts["free_run"]["panels"][0]["signals"][0]["signal"]
     assert first == charts["data"]["panels"][0]["signals"][0]["signal"]  # stored once
+
+
+def test_runs_of_an_output_that_was_measured_seldom_are_lines_between_its_samples():
+    time = np.array([0.0, 0.1, 0.3, 0.6, 1.0, 2.0, 4.0, 8.0, 9.0, 12.0])
+    with pytest.warns(eoi.RecordWarning, match="without a usual spacing"):
+        record = eoi.Record(time, np.zeros((len(time), 0)), np.exp(-0.3 * time))
+    decay = eoi.plant_from_text({"y": "-k*y"}, {"k": 0.2}, ["y"])
+    content = refined_runs(eoi.refine(decay, record))
+    upper, lower = free_run_series(content).panels
+    measured, before, after = upper.signals
+    assert (measured.dots, after.dots) == (True, False)
+    assert np.isfinite(measured.values).sum() == len(time)
+    for line in before.values, after.values:
+        assert np.isfinite(line).all()
+    np.testing.assert_allclose(after.values, np.interp(record.time, time, np.exp(-0.3 * time)))
+    assert np.isfinite(lower.signals[1].values).sum() == len(time)  # errors at samples only
 
 
 def test_the_detail_is_the_second_in_which_the_error_of_the_answer_has_most_power():
