@@ -176,8 +176,14 @@ def check_labels(u_names: tuple[str, ...], y_names: tuple[str, ...], units: dict
 def drop_repeats(
     stamps: TimeAxis, u: Inputs, y: Outputs, notes: list[str]
 ) -> tuple[Float[np.ndarray, " kept"], Float[np.ndarray, "kept nu"], Float[np.ndarray, "kept ny"]]:
-    """Strictly increasing stamps: exact repeats are dropped; other repeats are errors."""
+    """Strictly increasing stamps: exact repeats are dropped; other repeats are errors.
+
+    Rows with the newest first are turned round.
+    """
     spacing = np.diff(stamps)
+    if np.all(spacing <= 0) and np.any(spacing < 0):
+        notes.append("The newest sample comes first: the rows are read from the last one on.")
+        stamps, u, y, spacing = stamps[::-1], u[::-1], y[::-1], -spacing[::-1]
     check(
         bool(np.any(spacing != 0)),
         "time",

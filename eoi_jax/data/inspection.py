@@ -35,6 +35,7 @@ from eoi_jax.data.time_axis import (
     daylight_saving,
     find_clock,
     numbers_runs,
+    oldest_first,
     parts_between_restarts,
 )
 from eoi_jax.data.wrapping import Wrapping, course, wrapping
@@ -195,7 +196,7 @@ def inspect(
             is named in two roles.
     """
     path = Path(path)
-    table = read_table(path, max_gigabytes)
+    table = oldest_first(read_table(path, max_gigabytes))
     samples = _samples(path, table)
     numbers = _numbers(table, samples)
     named = {"time": None if time is None else [time], "input": inputs, "output": outputs}

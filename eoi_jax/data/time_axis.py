@@ -6,7 +6,7 @@ No data are changed here; `Record` handles jitter and gaps.
 import itertools
 import re
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from jaxtyping import Float
@@ -31,7 +31,8 @@ _UNITS = {
 NAMED = "named by the caller"
 # Units since 1970, the smallest value of each, and its seconds, for dates from 2001 to 2065.
 _EPOCHS = (("seconds", 1e9, 1.0), ("ms", 1e12, 1e-3), ("µs", 1e15, 1e-6), ("ns", 1e18, 1e-9))
-_SPREADSHEET = (36000.0, 73000.0)  # days since 1900, for dates from 1998 to 2099
+# Days since 1900 and since the year 0, for dates from 1998 to 2099.
+_DAYS = (("a spreadsheet", 36000.0, 73000.0), ("MATLAB", 729000.0, 767000.0))
 
 
 @dataclass(frozen=True)
@@ -166,9 +167,9 @@ def _unit(
     for word, low, factor in _EPOCHS:
         if low <= first < 3.0 * low and step * factor < 1e4:
             return factor, f"its size is that of {word} since 1970"
-    low, high = _SPREADSHEET
-    if low < first < high and 0 < step < 0.5:
-        return 86400.0, "its size is that of a spreadsheet's dates, in days"
+    program = _dates_in_days(values)
+    if program:
+        return 86400.0, f"its size is that of the dates of {program}, in days"
     whole_numbers = bool(np.all(values == np.rint(values)))
     if whole_numbers and step >= 1000.0:
         return 1e-6, f"whole numbers {step:g} apart are taken as µs, which is a guess"
@@ -233,6 +234,27 @@ def parts_between_restarts(
     return long if long and len(ranges) <= settings.most_parts else ((0, len(stamps)),)
 
 
+def _dates_in_days(values: np.ndarray) -> str:
+    """The program whose dates have such sizes and steps; empty if none has."""
+    first, step = float(values[0]), float(np.median(np.diff(values)))
+    sizes = (program for program, low, high in _DAYS if low < first < high)
+    return next(sizes, "") if 0 < step < 0.5 else ""
+
+
+def date_hints(column: str, stamps: np.ndarray) -> list[str]:
+    """A sentence on stamps that are read as seconds, and look like dates in days.
+
+    Args:
+        column: of the clock.
+        stamps: as they stand in a file.
+    """
+    program = _dates_in_days(stamps) if len(stamps) > 1 else ""
+    if not program:
+        return []
+    looks = f"`{column}` is read in seconds; stamps from {stamps[0]:.10g} on look like dates of"
+    return [f"{looks} {program} in days: if they are, give `scale` {{{column!r}: 86400}}."]
+
+
 def numbers_runs(values: np.ndarray | None, stamps: np.ndarray | None) -> bool:
     """Whether a column changes where the time goes back, and nowhere else: a number of the run.
 
@@ -244,6 +266,21 @@ def numbers_runs(values: np.ndarray | None, stamps: np.ndarray | None) -> bool:
         return False
     backwards = np.diff(stamps) < 0
     return bool(backwards.any()) and np.array_equal(np.diff(values) != 0, backwards)
+
+
+def oldest_first(table: Table) -> Table:
+    """The table, its rows turned round where a clock runs backwards throughout."""
+    for key, values in table.columns.items():
+        clock = values.dtype.kind in "Mm" or bool(_NAMES.match(_stem(key)))
+        if not clock or values.dtype.kind not in "Mmiuf" or len(values) < 2:
+            continue
+        steps = np.diff(values)
+        zero = np.zeros(1, steps.dtype)
+        if np.all(steps <= zero) and np.any(steps < zero):
+            columns = {name: column[::-1] for name, column in table.columns.items()}
+            note = f"`{key}` has the newest sample first: the rows are read from the last one on."
+            return replace(table, columns=columns, notes=(*table.notes, note))
+    return table
 
 
 def daylight_saving(stamps: np.ndarray, hour: float = 3600.0) -> list[str]:

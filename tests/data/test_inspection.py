@@ -570,6 +570,16 @@ def test_dates_that_are_put_forward_or_back_by_an_hour_are_told(tmp_path, day, m
     assert [hint[: len(said or "")] for hint in hints] == ([said] if said else [])
 
 
+@pytest.mark.parametrize("dates", [False, True])
+def test_a_file_with_the_newest_row_first_has_a_clock(tmp_path, dates):
+    stamps = pd.date_range("2024-05-01", periods=N, freq="10ms") if dates else T
+    table = {"t": stamps[::-1], "u": U[::-1], "y": Y[::-1]}
+    found = inspect(written(tmp_path / "run.csv", **table))
+    assert (found.clock.column, found.clock.sample_period) == ("t", pytest.approx(H))
+    assert roles(found) == {"t": "time", "u": "input", "y": "output"}
+    assert any("newest sample first" in note for note in found.notes)
+
+
 def test_a_number_of_the_run_is_no_input(tmp_path):
     number = np.arange(N) // 200 + 1
     columns = {"run": number, "t": H * (np.arange(N) % 200), "u": U, "y": Y}

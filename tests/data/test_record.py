@@ -101,6 +101,15 @@ def test_datetimes_count_in_seconds_from_the_first():
     np.testing.assert_allclose(record.time, TIME, atol=1e-9)
 
 
+def test_rows_with_the_newest_first_are_turned_round():
+    record = Record(TIME, np.sin(TIME), np.cos(TIME))
+    turned = Record(TIME[::-1], np.sin(TIME[::-1]), np.cos(TIME[::-1]))
+    np.testing.assert_array_equal(turned.time, record.time)
+    np.testing.assert_array_equal(turned.inputs, record.inputs)
+    np.testing.assert_array_equal(turned.outputs, record.outputs)
+    assert any("newest sample comes first" in note for note in turned.notes)
+
+
 def test_a_system_without_input_has_inputs_of_no_columns():
     record = Record(TIME, np.zeros((N, 0)), np.sin(TIME))
     assert record.inputs.shape == (N, 0)

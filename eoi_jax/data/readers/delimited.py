@@ -22,7 +22,7 @@ import numpy as np
 from eoi_jax._checks import counted
 from eoi_jax.data.readers.limits import PIECE, Allowance
 from eoi_jax.data.readers.table import Columns, Table
-from eoi_jax.data.readers.words import without_words
+from eoi_jax.data.readers.words import without_unit, without_words
 
 _SEPARATORS = (";", "\t", ",", "|", "")  # "" for spaces
 _EMPTY = {"", "nan", "na", "n/a", "#n/a", "null", "none", "-"}
@@ -184,6 +184,9 @@ def _read(source: Any, lines: Sequence[str], encoding: str) -> Table:
     notes = list(layout.notes)
     for i, key in enumerate(keys):
         columns[key] = _column(key, frame[i], layout.decimal, notes)
+        if columns[key].dtype.kind == "O":
+            columns[key], unit = without_unit(columns[key])
+            units |= {key: unit} if unit else {}
     return Table(columns, {**_named_units(keys), **units}, tuple(notes))
 
 

@@ -24,7 +24,7 @@ from eoi_jax.data.readers.matlab import read_mat
 from eoi_jax.data.readers.table import Columns, Table, add_columns
 from eoi_jax.data.record import Record
 from eoi_jax.data.resampling import Real
-from eoi_jax.data.time_axis import daylight_saving, declared_unit, epoch_unit
+from eoi_jax.data.time_axis import date_hints, daylight_saving, declared_unit, epoch_unit
 from eoi_jax.data.unwrapping import checked_periods, unwrapped_channels
 
 
@@ -115,7 +115,7 @@ def read_record(
     if clock is not None and clock not in factors:
         _check_seconds(clock, table, selected[clock])
     stamps = float(sample_period or 0) * np.arange(count) if clock is None else selected[clock]
-    savings = _daylight_saving(clock, table, selected, rows)
+    hints = _date_notes(clock, table, selected, rows, clock in factors)
     signals, notes = _unwrapped(selected, unwrap, [*u_columns, *y_columns], stamps, rows)
     record = Record(
         stamps[rows],
@@ -128,7 +128,7 @@ def read_record(
         hold=hold,
         burn_in=burn_in,
     )
-    return record._changed(" ".join([*savings, *notes]))
+    return record._changed(" ".join([*hints, *notes]))
 
 
 # -- choosing columns ---------------------------------------------------------------------
@@ -245,6 +245,9 @@ def _column(path: Path, table: Table, field: str, key: str) -> np.ndarray:
     raise AssertionError
 
 
+_THOUSANDS = re.compile(r"\s*[+-]?\d{1,3}(,\d{3})+(\.\d*)?\s*$")
+
+
 def _numeric(path: Path, key: str, values: np.ndarray) -> np.ndarray:
     if values.dtype.kind in "Mm":  # seconds from the first stamp
         return (values - values[0]) / np.timedelta64(1, "s")
@@ -259,7 +262,14 @@ def _numeric(path: Path, key: str, values: np.ndarray) -> np.ndarray:
         except (TypeError, ValueError):
             is_text = _READERS[_checked_suffix(path)] is read_text
             where = f"line {line_of(path, row)}" if is_text else f"row {row}, counted from 0"
-            check(False, key, f"must be a numeric column of {path}", f"{value!r} in {where}")
+            advice = (
+                "Where it stands for no value, or for a line that is no sample, empty the cell "
+            )
+            advice += "or leave the line out."
+            if _THOUSANDS.match(str(value)):
+                advice = "Write numbers without thousands separators."
+            rule = f"must be a numeric column of {path}"
+            check(False, key, rule, f"{value!r} in {where}", advice)
     return np.asarray([np.nan if value is None else value for value in values], dtype=np.float64)
 
 
@@ -291,11 +301,15 @@ def _check_seconds(clock: str, table: Table, stamps: np.ndarray) -> None:
         check(False, f"time[{clock}]", "must be in seconds", f"{stamps[0]:.10g}", advice)
 
 
-def _daylight_saving(clock: str | None, table: Table, picked: Columns, rows: slice) -> list[str]:
-    """Sentences on an hour that dates leave out; dates that have an hour twice are refused."""
-    if clock is None or table.columns[clock].dtype.kind != "M":
+def _date_notes(
+    clock: str | None, table: Table, picked: Columns, rows: slice, scaled: bool
+) -> list[str]:
+    """Sentences on dates in days and on an hour left out; dates with an hour twice are refused."""
+    if clock is None:
         return []
     stamps = picked[clock][rows]
+    if table.columns[clock].dtype.kind != "M":
+        return [] if scaled else date_hints(clock, stamps)
     sentences = daylight_saving(stamps)
     goes_back = bool(np.any(np.diff(stamps) < 0)) and bool(sentences)
     check(not goes_back, f"time[{clock}]", "must increase", "an hour twice", " ".join(sentences))

@@ -53,6 +53,28 @@ def without_words(key: str, cells: np.ndarray, notes: list[str]) -> np.ndarray:
     return np.asarray([(missing | switch).get(text, text) for text in texts], dtype=np.float64)
 
 
+_WITH_UNIT = re.compile(
+    r"\s*([+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?)\s*([^\d\s.,;:+*/-]\S{0,5})\s*$"
+)
+
+
+def without_unit(cells: np.ndarray) -> tuple[np.ndarray, str]:
+    """Numbers that have the same unit behind each of them, as ``21.5 °C``, and that unit.
+
+    Args:
+        cells: of the type object; None where a cell is empty.
+
+    Returns:
+        The cells as they are, and no unit, where one has none or another one.
+    """
+    matches = [_WITH_UNIT.match(str(cell)) for cell in cells if cell is not None]
+    units = {match[2] if match else "" for match in matches}
+    if len(units) != 1 or "" in units:
+        return cells, ""
+    numbers = (float(match[1]) for match in matches if match)
+    return np.asarray([np.nan if cell is None else next(numbers) for cell in cells]), units.pop()
+
+
 def _is_mark(word: str) -> bool:
     return word in _NO_VALUE or bool(_MARKS.match(word))
 

@@ -5,6 +5,7 @@ import pandas as pd
 import pytest
 
 import eoi_jax as eoi
+from eoi_jax.data.inspection import inspect
 
 
 @pytest.mark.parametrize(("unit", "factor"), [("ms", 1e-3), ("µs", 1e-6)])
@@ -26,6 +27,21 @@ def test_seconds_since_1970_are_read_as_they_are(tmp_path):
     path.write_text("t,u,y\n" + rows)
     record = eoi.read_record(path, time="t", inputs=["u"], outputs=["y"])
     assert record.sample_period == pytest.approx(2.0)
+
+
+@pytest.mark.parametrize(("first", "program"), [(45300.0, "a spreadsheet"), (739000.0, "MATLAB")])
+def test_dates_in_days_are_told_where_they_are_read_in_seconds(tmp_path, first, program):
+    path = tmp_path / "log.csv"
+    days = first + np.arange(100) / 1440.0  # a minute each
+    rows = "".join(f"{day:.9f},{k % 7},{k % 5}\n" for k, day in enumerate(days))
+    path.write_text("t,u,y\n" + rows)
+    names = {"time": "t", "inputs": "u", "outputs": "y"}
+    record = eoi.read_record(path, **names)
+    assert any(f"dates of {program} in days" in note for note in record.notes)
+    record = eoi.read_record(path, **names, scale={"t": 86400})
+    assert record.sample_period == pytest.approx(60.0)
+    assert not any("in days" in note for note in record.notes)
+    assert inspect(path).clock.sample_period == pytest.approx(60.0, rel=1e-4)
 
 
 def test_local_dates_that_have_an_hour_twice_are_refused_with_the_reason(tmp_path):

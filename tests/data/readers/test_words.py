@@ -40,6 +40,33 @@ def test_marks_of_no_value_are_not_measured_and_said(tmp_path, mark):
     np.testing.assert_array_equal(np.flatnonzero(~record.valid), [7, 20])
 
 
+def test_numbers_with_their_unit_in_every_cell_are_numbers(tmp_path):
+    path = written(tmp_path / "run.csv", [f"{0.5 * k} °C" if k != 5 else "" for k in range(N)])
+    table = read_table(path)
+    want = [np.nan if k == 5 else 0.5 * k for k in range(N)]
+    np.testing.assert_array_equal(table.columns["u"], want)
+    assert table.units["u"] == "°C"
+
+
+def test_cells_with_different_units_are_refused(tmp_path):
+    path = written(tmp_path / "run.csv", [f"{k} {'mV' if k % 2 else 'V'}" for k in range(N)])
+    with pytest.raises(ValueError, match="`u` must be a numeric column"):
+        read_record(path, time="t", inputs="u", outputs="y")
+
+
+@pytest.mark.parametrize(
+    ("cell", "advice"),
+    [
+        ('"1,072.51"', "Write numbers without thousands separators"),
+        ("Average", "a line that is no sample, empty the cell or leave the line out"),
+    ],
+)
+def test_a_cell_that_is_no_number_comes_with_what_to_do(tmp_path, cell, advice):
+    path = written(tmp_path / "run.csv", [cell if k == 9 else f"{k}" for k in range(N)])
+    with pytest.raises(ValueError, match=rf"`u` must be a numeric column.*line 11\. .*{advice}"):
+        read_record(path, time="t", inputs="u", outputs="y")
+
+
 @pytest.mark.parametrize(
     "cells",
     [
