@@ -50,13 +50,13 @@ def with_present_values(function: Any) -> Any:
     """The function, or an object in its place if what it reads outside has changed since.
 
     Args:
-        function: of a model. What is no function of Python stays as it is.
+        function: of a model. What is no function of the user's stays as it is.
 
     Returns:
         The same object for the same values.
     """
     original = function.__wrapped__ if isinstance(function, _Present) else function
-    if not isinstance(original, FunctionType):
+    if not isinstance(original, FunctionType) or _is_of_package(original):
         return function
     models = _MODELS.setdefault(original, {})
     values = _values_of(original, 0)
@@ -73,6 +73,11 @@ def _values_of(function: FunctionType, depth: int) -> tuple[Any, ...]:
     captured += [cell.cell_contents for cell in cells if _is_filled(cell)]
     captured += [*(function.__defaults__ or ()), *(function.__kwdefaults__ or {}).values()]
     return tuple(_comparable(value, depth + 1) for value in captured)
+
+
+def _is_of_package(function: FunctionType) -> bool:
+    """Whether it is no function of the user's."""
+    return (function.__module__ or "").split(".")[0] in _SETTINGS.packages
 
 
 def _names(code: CodeType) -> Iterator[str]:
@@ -102,7 +107,6 @@ def _comparable(value: Any, depth: int) -> Any:
         pairs = ((key, _comparable(part, depth + 1)) for key, part in value.items())
         return type(value), tuple((repr(key), part) for key, part in pairs)
     if depth < _SETTINGS.depth and isinstance(value, FunctionType):
-        package = (value.__module__ or "").split(".")[0]
-        content = () if package in _SETTINGS.packages else _values_of(value, depth)
+        content = () if _is_of_package(value) else _values_of(value, depth)
         return id(value), content
     return id(value)

@@ -7,6 +7,11 @@ $y_j^{(r_j)} = C_j A^{r_j} T^{-1} \xi + C_j A^{r_j - 1} B u$.
 With zeros, one input and one output, $y = k\,q(s)/d(s)\,u$: division $d = q m + \rho$ gives
 $m(s)\,y = k u - \rho(s)/q(s)\,y$, where $\rho/q$ is the zero dynamics, driven by the output
 (the normal form of Isidori, Nonlinear Control Systems, 1995, section 4.3).
+
+Where the output follows its input at once, or zeros in the right half plane would make that zero
+dynamics grow, all states are internal, in the controllable canonical form
+$z_n' = u + a_0 z_1 + a_1 z_2 + \dots$, and the output is a function of them:
+$y = d\,u + c_0 z_1 + \dots$
 """
 
 import re
@@ -54,6 +59,32 @@ class _ZeroDynamics:
         return jnp.concatenate([x.z[1:], jnp.reshape(last, (1,))])
 
 
+@dataclass(frozen=True)
+class _Readout:
+    """y = d u + Σ c z, a function of internal states."""
+
+    names: tuple[str, ...]
+    feed: str  # name of d; empty without
+
+    def __call__(self, t: Any, x: Any, u: Any, p: Any) -> Any:
+        del t
+        value = sum(getattr(p, name) * x.z[i] for i, name in enumerate(self.names))
+        value = value + getattr(p, self.feed) * u[0] if self.feed else value
+        return jnp.reshape(jnp.asarray(value), (1,))
+
+
+@dataclass(frozen=True)
+class _Companion:
+    """ż = companion of the denominator, driven by the input."""
+
+    names: tuple[str, ...]
+
+    def __call__(self, t: Any, x: Any, u: Any, p: Any) -> Any:
+        del t
+        last = u[0] + sum(getattr(p, name) * x.z[i] for i, name in enumerate(self.names))
+        return jnp.concatenate([x.z[1:], jnp.reshape(last, (1,))])
+
+
 def plant_from_control(system: Any, *, name: str = "linear system") -> Plant:
     r"""A plant from a continuous linear system, such as those of python-control.
 
@@ -61,6 +92,10 @@ def plant_from_control(system: Any, *, name: str = "linear system") -> Plant:
     of the output and its derivatives and `b` of the input, with the names of outputs and inputs
     where there are several. With zeros, `q0`, … are the coefficients of the (monic) numerator, and
     `c0`, … those of the zero dynamics. Signs are those of the sum: $y'' = a_0 y + a_1 y' + b u$.
+    Of one input and one output, feed-through and zeros in the right half plane (a dead time by
+    Padé) are admitted where all poles are stable: the output is then a function of internal states
+    that start from rest, `a0`, … are the negative coefficients of the denominator, `c0`, … those of
+    what remains of the numerator, and `d` is the feed-through.
 
     Args:
         system: a state-space system (`A`, `B`, `C`, `D`) or a transfer function of one input and
@@ -72,14 +107,17 @@ def plant_from_control(system: Any, *, name: str = "linear system") -> Plant:
         Plant in chain form with the nominal values of the system.
 
     Raises:
-        ValueError: a system that is discrete, has direct feed-through, states that are not
-            observable, zeros and several inputs or outputs, or zeros in the right half plane.
+        ValueError: a system that is discrete, has more zeros than poles, states that are not
+            observable, feed-through or zeros and several inputs or outputs, or unstable poles and
+            feed-through or zeros in the right half plane.
 
     Source: python-control, https://python-control.readthedocs.io
     """
-    a, b, c = _matrices(system)
+    a, b, c, d = _matrices(system)
     u_names = _labels(system, "input_labels", b.shape[1], "u")
     y_names = _labels(system, "output_labels", c.shape[0], "y")
+    if np.any(d):
+        return _readout_plant(*_fraction(a, b, c, d), u_names, y_names, name)
     degrees = _relative_degrees(a, b, c, y_names)
     zeros = len(a) - sum(degrees)
     if zeros == 0:
@@ -95,8 +133,8 @@ def plant_from_control(system: Any, *, name: str = "linear system") -> Plant:
     return _zero_dynamics_plant(a, b, c, degrees[0], u_names, y_names, name)
 
 
-def _matrices(system: Any) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """A, B, C of a continuous system without feed-through."""
+def _matrices(system: Any) -> tuple[np.ndarray, ...]:
+    """A, B, C, D of a continuous system; D only of one input and one output."""
     period = getattr(system, "dt", None)
     check(not period, "system", "must be continuous in time", f"a sample period of {period}")
     if all(hasattr(system, key) for key in "ABCD"):
@@ -111,16 +149,18 @@ def _matrices(system: Any) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         from scipy.signal import tf2ss
 
         num, den = (_polynomial(getattr(system, key)) for key in ("num", "den"))
-        check(len(num) < len(den), "system", "must have fewer zeros than poles",
+        check(len(num) <= len(den), "system", "must have no more zeros than poles",
               f"{counted(len(num) - 1, 'zero')}, {counted(len(den) - 1, 'pole')}",
-              "An output that follows its input at once has no dynamics to identify.")  # fmt: skip
+              "Give the rate of the input as an input of its own.")  # fmt: skip
         parts = [np.atleast_2d(matrix) for matrix in tf2ss(num, den)]
     a, b, c, d = parts
     check(len(a) > 0, "system", "must have states", "none")
     check(b.shape[1] > 0, "system", "must have an input", "none")
-    check(not np.any(d), "system", "must have no direct feed-through from input to output",
-          f"D = {d.tolist()}", "Subtract D u from the output.")  # fmt: skip
-    return a, b, c
+    single = b.shape[1] == 1 and c.shape[0] == 1
+    check(single or not np.any(d), "system",
+          "must have no direct feed-through where it has several inputs or outputs",
+          f"D = {d.tolist()}", "Subtract D u from the outputs.")  # fmt: skip
+    return a, b, c, d
 
 
 def _polynomial(coefficients: Any) -> np.ndarray:
@@ -237,28 +277,11 @@ def _zero_dynamics_plant(
     name: str,
 ) -> Plant:
     """The plant with d(s) = q(s) m(s) + ρ(s): the chain of m, and the zero dynamics ρ/q."""
-    from scipy.signal import ss2tf
-
-    numerators, den = ss2tf(a, b, c, np.zeros((1, 1)))
-    num = numerators[0][r:]  # the leading coefficients are rounding
+    num, den = _fraction(a, b, c, np.zeros((1, 1)))
+    num = num[r:]  # the leading coefficients are rounding
     gain, q = float(num[0]), num / num[0]
-    zeros = np.roots(q)
-    check(
-        bool(np.all(zeros.real < 0)),
-        "system",
-        "must have zeros in the left half plane only, or its internal states grow",
-        f"zeros at {np.round(zeros, 4).tolist()}",
-    )
-    common = [
-        zero for zero in zeros if np.min(np.abs(np.roots(den) - zero)) < 1e-6 * (1 + abs(zero))
-    ]
-    check(
-        not common,
-        "system",
-        "must have no pole at a zero: such a state does not show in the output",
-        f"{np.round(common, 4).tolist()}",
-        "Take a minimal realisation (control.minreal).",
-    )
+    if not np.all(np.roots(q).real < 0):
+        return _readout_plant(num, den, u_names, y_names, name)
     m, rho = np.polydiv(den, q)
     rho = np.concatenate([np.zeros(len(q) - 1 - len(rho)), rho]) if len(rho) < len(q) else rho
     parameters = {f"a{i}": -float(value) for i, value in enumerate(m[:0:-1])}
@@ -276,5 +299,62 @@ def _zero_dynamics_plant(
         outputs=y_names,
         internal=_ZeroDynamics(q_names),
         internal_initial=[0.0] * len(q_names),
+        name=name,
+    )
+
+
+def _fraction(
+    a: np.ndarray, b: np.ndarray, c: np.ndarray, d: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Numerator and denominator of one channel, without a common root."""
+    from scipy.signal import ss2tf
+
+    numerators, den = ss2tf(a, b, c, d)
+    poles = np.roots(den)
+    zeros = np.roots(np.where(np.abs(numerators[0]) > _TINY * np.abs(numerators).max(),
+                              numerators[0], 0.0))  # fmt: skip
+    common = [zero for zero in zeros if np.min(np.abs(poles - zero)) < 1e-6 * (1 + abs(zero))]
+    check(
+        not common,
+        "system",
+        "must have no pole at a zero: such a state does not show in the output",
+        f"{np.round(common, 4).tolist()}",
+        "Take a minimal realisation (control.minreal).",
+    )
+    return numerators[0], den
+
+
+def _readout_plant(
+    num: np.ndarray,
+    den: np.ndarray,
+    u_names: tuple[str, ...],
+    y_names: tuple[str, ...],
+    name: str,
+) -> Plant:
+    """The plant whose output is a function of its internal states."""
+    poles = np.roots(den)
+    check(
+        bool(np.all(poles.real <= 0)),
+        "system",
+        "must have stable poles where it has feed-through or zeros in the right half plane, or its "
+        "internal states grow",
+        f"poles at {np.round(poles, 4).tolist()}",
+    )
+    count = len(den) - 1
+    num = np.concatenate([np.zeros(count + 1 - len(num)), num])
+    feed = float(num[0])
+    rest = num[1:] - feed * den[1:]
+    a_names = tuple(f"a{i}" for i in range(count))
+    c_names = tuple(f"c{i}" for i in range(count))
+    parameters = dict(zip(a_names, (-float(value) for value in den[:0:-1]), strict=True))
+    parameters |= dict(zip(c_names, (float(value) for value in rest[::-1]), strict=True))
+    return Plant(
+        _Readout(c_names, "d" if feed else ""),
+        parameters | ({"d": feed} if feed else {}),
+        relative_degree=0,
+        inputs=u_names,
+        outputs=y_names,
+        internal=_Companion(a_names),
+        internal_initial=[0.0] * count,
         name=name,
     )

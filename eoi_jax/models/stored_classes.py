@@ -34,6 +34,8 @@ CLASSES: Mapping[str, str] = {
     "SampledStates": "models.sampled_states",
     "LinearChains": "models.linear_system:_Chains",
     "LinearZeroDynamics": "models.linear_system:_ZeroDynamics",
+    "LinearReadout": "models.linear_system:_Readout",
+    "LinearCompanion": "models.linear_system:_Companion",
     "TextEquations": "models.equations.system:Equations",
     "TextDynamics": "models.equations.system",
     "TextInternal": "models.equations.system",

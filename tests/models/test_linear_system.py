@@ -36,6 +36,11 @@ def cases(control):
         ),
         "one zero": (control.tf([2, 3], [1, 4, 25]), DRIVE),
         "two zeros": (control.tf([2, 3, 7], [1, 4, 25, 30, 20]), DRIVE),
+        "feed-through": (control.tf([2, 3, 7], [1, 4, 25]), DRIVE),
+        "a dead time": (control.tf(*control.pade(0.2, 2)) * control.tf([2], [1, 1]), DRIVE),
+        "feed-through of states": (
+            control.ss([[0, 1], [-20, -3]], [[0], [2]], [[1, 0]], 0.5), DRIVE,
+        ),
         "two of both": (
             control.ss(COUPLED, [[0, 0], [1, 0], [0, 0], [0, 2]],
                        [[1, 0, 0, 0], [0, 0, 1, 0]], np.zeros((2, 2))), TWO,
@@ -44,7 +49,17 @@ def cases(control):
 
 
 @pytest.mark.parametrize(
-    "case", ["an oscillator", "states of no meaning", "one zero", "two zeros", "two of both"]
+    "case",
+    [
+        "an oscillator",
+        "states of no meaning",
+        "one zero",
+        "two zeros",
+        "feed-through",
+        "a dead time",
+        "feed-through of states",
+        "two of both",
+    ],
 )
 def test_a_plant_runs_as_the_system_that_it_is_made_from(case):
     control = pytest.importorskip("control", reason="python-control is not installed")
@@ -93,17 +108,36 @@ def test_its_parameters_are_identified():
     assert found == pytest.approx(plant.parameters, rel=1e-2)
 
 
+def test_feed_through_and_a_zero_in_the_right_half_plane_are_refined_and_stored(tmp_path):
+    for system in (transfer([2, 3, 7], [1, 4, 25]), transfer([-1, 5], [1, 4, 25])):
+        plant = eoi.plant_from_control(system)
+        record = eoi.simulate(plant, TIME, DRIVE)
+        start = plant.with_parameters({key: 1.1 * v for key, v in plant.parameters.items()})
+        found = eoi.refine(start, record)
+        assert found.parameters == pytest.approx(plant.parameters, rel=1e-4)
+        found.save(tmp_path / "found.npz")
+        again = eoi.load(tmp_path / "found.npz")
+        np.testing.assert_array_equal(
+            eoi.simulate(again.plant, TIME, DRIVE).outputs,
+            eoi.simulate(found.plant, TIME, DRIVE).outputs,
+        )
+
+
 @pytest.mark.parametrize(
     ("system", "message"),
     [
         (transfer([1], [1, 2], dt=0.1), "must be continuous in time, got a sample period of 0.1"),
         (3, "must have A, B, C, D or num, den, got a int"),
-        (transfer([1, 2, 1], [1, 3, 2]), "must have fewer zeros than poles, got 2 zeros, 2 poles"),
-        (space([[-1.0]], [[1.0]], [1.0], 1.0), "no direct feed-through .*, got D"),
+        (transfer([1, 2, 1], [1, 3]), "must have no more zeros than poles, got 2 zeros, 1 pole"),
+        (
+            space(np.diag([-1.0, -2.0]), np.eye(2), np.eye(2), np.eye(2)),
+            "no direct feed-through where it has several .*, got D",
+        ),
         (space([[-1.0]], [[0.0]], [1.0]), "must have an input that reaches `y`, got none"),
         (space(np.zeros((0, 0)), np.zeros((0, 1)), np.zeros((1, 0))), "must have states"),
         (space([[-1.0]], np.zeros((1, 0)), [1.0]), "must have an input, got none"),
-        (transfer([1, -1], [1, 3, 2]), "zeros in the left half plane only.*, got zeros at"),
+        (transfer([1, -1], [1, 3, -4]), "no pole at a zero"),
+        (transfer([1, -2], [1, 3, -4]), "stable poles where it has feed-through or zeros .*poles"),
         (transfer([1, 1], [1, 3, 2]), "no pole at a zero.*minimal realisation"),
         (space(np.diag([-1, -2]), [[1], [1]], [1, 0]), "no pole at a zero"),
         (
