@@ -423,7 +423,7 @@ def _assign_roles(
     for channel in clocked:
         if channel.name in declared:
             roles[channel.name] = (declared[channel.name], "the file says so")
-        elif numbers_runs(numbers.get(channel.name), numbers.get(clock.column)):
+        elif numbers_runs(numbers.get(channel.name), numbers.get(clock.column or "")):
             continue
         elif (
             channel.role == "other" and channel.name in numbers and channel.name not in clock.others

@@ -38,12 +38,13 @@ class _Present:
 
     def __init__(self, function: Callable[..., Any]):
         functools.update_wrapper(self, function)
+        self.function = function
 
     def __call__(self, *arguments: Any) -> Any:
-        return self.__wrapped__(*arguments)  # type: ignore[attr-defined]
+        return self.function(*arguments)
 
     def __reduce__(self) -> tuple[Any, ...]:
-        return with_present_values, (self.__wrapped__,)  # type: ignore[attr-defined]
+        return with_present_values, (self.function,)
 
 
 def with_present_values(function: Any) -> Any:
@@ -55,7 +56,7 @@ def with_present_values(function: Any) -> Any:
     Returns:
         The same object for the same values.
     """
-    original = function.__wrapped__ if isinstance(function, _Present) else function
+    original = function.function if isinstance(function, _Present) else function
     if not isinstance(original, FunctionType) or _is_of_package(original):
         return function
     models = _MODELS.setdefault(original, {})

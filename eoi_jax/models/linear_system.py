@@ -321,7 +321,7 @@ def _fraction(
         f"{np.round(common, 4).tolist()}",
         "Take a minimal realisation (control.minreal).",
     )
-    return numerators[0], den
+    return np.asarray(numerators[0]), np.asarray(den)
 
 
 def _readout_plant(

@@ -95,7 +95,8 @@ def free_run_series(content: FreeRuns, max_range: float = 3.0) -> TimeSeries:
             runs.insert(0, Signal("measured", y, None, 2.0, dots=slow))
             mean = float(np.nanmean(y))
             size = max_range * float(np.nanmax(np.abs(y - mean)))
-            upper_limits, lower_limits = (mean - size, mean + size), (-size, size)
+            if size > 0:  # of a constant measurement nothing is clipped
+                upper_limits, lower_limits = (mean - size, mean + size), (-size, size)
         panels += [
             Panel(with_unit(name, unit), tuple(runs), 1.54, upper_limits),
             Panel(with_unit("error", unit), tuple(errors), 0.96, lower_limits),

@@ -131,7 +131,15 @@ def identification_answer(result: Identification, validation: Validation | None 
     )
     if validation is None or not np.all(np.isfinite(validation.rmse)):
         return f"{sentence}."
-    return f"{sentence}, and the free-run fit to held-out data is {np.min(validation.fit):.4g} %."
+    return f"{sentence}, and {_held_out_fit(validation, 'free-run fit')}."
+
+
+def _held_out_fit(validation: Validation, fit: str) -> str:
+    """The worst fit; a constant output has none."""
+    moving = np.isfinite(validation.fit)
+    if not np.any(moving):
+        return "the held-out data are constant, so that no fit can be told"
+    return f"the {fit} to held-out data is {np.min(validation.fit[moving]):.4g} %"
 
 
 def refinement_answer(result: Refinement, after: Validation | None = None) -> str:
@@ -154,7 +162,7 @@ def refinement_answer(result: Refinement, after: Validation | None = None) -> st
     ]
     suffix = ""
     if after is not None and np.all(np.isfinite(after.rmse)):
-        suffix = f"; the fit to held-out data is {np.min(after.fit):.4g} %"
+        suffix = f"; {_held_out_fit(after, 'fit')}"
     return f"Refined: free-run error of {result.plant.name} {'; '.join(changes)}{suffix}."
 
 

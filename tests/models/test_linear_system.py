@@ -1,6 +1,7 @@
 """Linear systems become plants that simulate as python-control simulates them."""
 
 from types import SimpleNamespace
+from typing import Any
 
 import jax.numpy as jnp
 import numpy as np
@@ -14,7 +15,7 @@ TWO = np.stack([DRIVE, np.roll(DRIVE, 700)], axis=1)
 COUPLED = [[0, 1, 0, 0], [-30, -1, 10, 0.1], [0, 0, 0, 1], [10, 0.1, -20, -2]]
 
 
-def space(a, b, c, d=0.0, **more):
+def space(a, b, c, d: Any = 0.0, **more):
     """A state-space system of any package."""
     c = np.atleast_2d(c)
     d = np.zeros((len(c), np.shape(b)[1])) if np.isscalar(d) and d == 0 else np.atleast_2d(d)

@@ -16,7 +16,12 @@ from eoi_jax.report.charts import ChartLimits, chart_data
 from eoi_jax.report.contents import discovery_contents
 from eoi_jax.report.estimate_figures import refined_runs
 from eoi_jax.report.figures import record_series
-from eoi_jax.report.free_runs import free_run_series, worst_series, worst_window
+from eoi_jax.report.free_runs import (
+    free_run_series,
+    validation_runs,
+    worst_series,
+    worst_window,
+)
 from eoi_jax.report.residual_correlation import residual_correlation_figure
 from eoi_jax.report.time_series import Panel, Signal, TimeSeries, time_series_figure
 
@@ -225,3 +230,11 @@ def test_no_text_in_the_data_of_the_charts_ends_their_element():
     assert data is not None
     assert "<" not in page._json(data)
     assert json.loads(page._json(data))["charts"]["one"]["label"] == wicked
+
+
+def test_a_constant_measurement_clips_nothing():
+    time = np.arange(0.0, 1.0, 0.01)
+    record = eoi.Record(time, np.zeros((100, 0)), np.full(100, 2.0))
+    decay = eoi.plant_from_text({"y": "-k*y"}, {"k": 0.2}, ["y"])
+    content = free_run_series(validation_runs((eoi.validate(decay, record), "free run")))
+    assert [panel.limits for panel in content.panels] == [None, None]

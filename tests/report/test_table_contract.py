@@ -152,6 +152,10 @@ def test_answer_of_an_identification_names_its_best_pass(identified):
     assert tables.identification_answer(identified, held).endswith(
         ", and the free-run fit to held-out data is 88.76 %."
     )
+    still = replace(held, fit=np.full_like(held.fit, -np.inf))
+    assert tables.identification_answer(identified, still).endswith(
+        ", and the held-out data are constant, so that no fit can be told."
+    )
 
 
 @pytest.fixture(scope="module")
