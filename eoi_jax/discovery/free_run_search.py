@@ -451,9 +451,8 @@ def contradicted_by_fit(answer: FreeRunAnswer) -> bool:
 
 def only_otherwise(judge: Judge, trial: Plant, rival: Plant) -> bool:
     """Whether a model predicts the records of a judge otherwise than another one, hardly better."""
-    runs = [
-        (new, old) for new, old in zip(judge.runs(trial), judge.runs(rival), strict=True) if new
-    ]
+    pairs = zip(judge.runs(trial), judge.runs(rival), strict=True)
+    runs = [(new, old) for new, old in pairs if new and old]
     ratio, least = (
         np.exp(np.mean([np.log(error(new, old)) for new, old in runs]))
         for error in (error_ratio, least_error_ratio)

@@ -35,10 +35,9 @@ def test_dates_in_days_are_told_where_they_are_read_in_seconds(tmp_path, first, 
     days = first + np.arange(100) / 1440.0  # a minute each
     rows = "".join(f"{day:.9f},{k % 7},{k % 5}\n" for k, day in enumerate(days))
     path.write_text("t,u,y\n" + rows)
-    names = {"time": "t", "inputs": "u", "outputs": "y"}
-    record = eoi.read_record(path, **names)
+    record = eoi.read_record(path, "t", "u", "y")
     assert any(f"dates of {program} in days" in note for note in record.notes)
-    record = eoi.read_record(path, **names, scale={"t": 86400})
+    record = eoi.read_record(path, "t", "u", "y", scale={"t": 86400})
     assert record.sample_period == pytest.approx(60.0)
     assert not any("in days" in note for note in record.notes)
     assert inspect(path).clock.sample_period == pytest.approx(60.0, rel=1e-4)
