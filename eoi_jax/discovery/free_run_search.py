@@ -19,8 +19,8 @@ parameters are biased hides right effects from both. The search:
    once more from what is left without the effects that the model can be without.
 5. What can be left out again without a larger error is left out; of the ways in which the records
    may have been made that with the smallest errors of the answer is taken, and of its fits over
-   long and over short runs that which is better on all records, whole and in windows, or by more
-   than chance.
+   long and over short runs that which is better on all records, whole and in windows, or in the
+   mean and in neither worse by more than chance.
 
 Disturbances in time are not tried: they stand in for what the library lacks.
 """
@@ -102,8 +102,8 @@ class FreeRunAnswer:
         """Of the fits of that model the judged one, unless another is better on all records.
 
         Between fits of the same parameters the records of the fit tell as much as the few that
-        judge: it must predict them better together, whole and in windows, or by more than chance.
-        None is taken that predicts these worse than the base.
+        judge: it must predict them better together, whole and in windows, or in the mean, and in
+        neither worse by more than chance. None is taken that predicts these worse than the base.
         """
         judge = replace(self.judge, records=(*self.records, *self.judging))
         final, runs = self.best, None
@@ -112,7 +112,7 @@ class FreeRunAnswer:
                 runs = runs or judge.runs(final.refinement.plant)
                 trial = judge.runs(fit.refinement.plant)
                 pairs = zip(_errors_of_each(trial), _errors_of_each(runs), strict=True)
-                if all(new < old for new, old in pairs) or judge.prefers(trial, runs):
+                if all(new < old for new, old in pairs) or judge.averages_better(trial, runs):
                     final, runs = fit, trial
         return final
 
@@ -265,8 +265,8 @@ class Search:
 
     def answers(self, models: Sequence[Judged]) -> list[Judged]:
         """Models whose errors are lower than those of the base by as much as makes an answer."""
-        least = self.base.error + np.log(RULES.answer.confirmed)
-        return [model for model in models if model.error < least]
+        limit = self.base.error + np.log(RULES.answer.confirmed)
+        return [model for model in models if model.error < limit]
 
     def further(self, model: Judged) -> tuple[Placed, ...]:
         """Effects of a model that the base has not."""
@@ -283,8 +283,8 @@ class Search:
         # What has no linear test: none at all would find it.
         untested = [e for e in effects if isinstance(e, AbstractCascade) and not is_tested(e)]
         tested = remaining(best.refinement, effects, level=level)
-        least = _RULES.share if self.base.placed else 0.0
-        items = [item for item in _nearly_best(tested.significant) if item.share >= least]
+        share = _RULES.share if self.base.placed else 0.0
+        items = [item for item in _nearly_best(tested.significant) if item.share >= share]
         sets = [(item.placed, item.values) for item in items]
         if not self.base.placed:
             sets += [((placed,), dict.fromkeys(placed.names, 0.0))
@@ -452,12 +452,11 @@ def contradicted_by_fit(answer: FreeRunAnswer) -> bool:
 def only_otherwise(judge: Judge, trial: Plant, rival: Plant) -> bool:
     """Whether a model predicts the records of a judge otherwise than another one, hardly better."""
     pairs = zip(judge.runs(trial), judge.runs(rival), strict=True)
-    runs = [(new, old) for new, old in pairs if new and old]
-    ratio, least = (
-        np.exp(np.mean([np.log(error(new, old)) for new, old in runs]))
-        for error in (error_ratio, least_error_ratio)
-    )
-    return bool(least < RULES.answer.confirmed <= ratio)
+    ratios = [
+        (error_ratio(new, old), least_error_ratio(new, old)) for new, old in pairs if new and old
+    ]
+    reached, attainable = np.exp(np.mean(np.log(ratios), axis=0))
+    return bool(attainable < RULES.answer.confirmed <= reached)
 
 
 def refined(

@@ -129,6 +129,16 @@ class Judge:
         deviations = [_deviations(rival, trial) for rival, trial in pairs]
         return bool(max(deviations) > _RULES.min_deviations > -min(deviations))
 
+    def averages_better(self, trial: FreeRuns, best: FreeRuns) -> bool:
+        """Whether the mean error falls by what decides, and no length of runs tells against it.
+
+        Between fits of the same parameters nothing else speaks for either one.
+        """
+        if mean_error(best) - mean_error(trial) < _RULES.min_fall:
+            return False
+        pairs = zip(best, trial, strict=True)
+        return bool(min(_deviations(*pair) for pair in pairs) > -_RULES.min_deviations)
+
     def replaces(self, trial: Judged, best: Judged, origin: Judged) -> bool:
         """Whether a model takes the place of one that was chosen before it.
 

@@ -166,7 +166,7 @@ def augmented(
     units = plant.units
     for placement in placements:
         for name, parameter in zip(placement.names, placement.effect.parameters, strict=True):
-            limits[name] = (bounds or {}).get(name, (parameter.lower, parameter.upper))
+            limits[name] = (bounds or {}).get(name, parameter.bounds(float(values[name])))
             units[name] = unit(plant, placement, parameter.unit)
     added = {name: float(values[name]) for placement in placements for name in placement.names}
     moving = states + nz > 0

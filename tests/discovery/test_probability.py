@@ -278,16 +278,21 @@ def test_of_fits_alike_all_records_take_another_where_it_is_better_whole_and_in_
         assert answer.final is final
 
 
-@pytest.mark.parametrize(("windows", "taken"), [(0.33, True), (0.6, False)])
-def test_of_fits_alike_one_that_is_better_by_more_than_chance_is_taken(windows, taken):
-    """Whole runs improve by two thirds; windows get worse by a tenth and by chance, or by much."""
+@pytest.mark.parametrize(
+    ("whole", "windows", "taken"),
+    [(0.2, 0.33, True), (0.45, 0.33, True), (0.58, 0.3, False), (0.2, 0.6, False)],
+)
+def test_of_fits_alike_the_mean_decides_where_neither_length_of_runs_objects(whole, windows, taken):
+    """Whole runs improve, by more than chance or not; windows get worse by chance, or by much."""
     data, spread = (record(np.zeros(COUNT)),), np.linspace(0.5, 1.5, 10)
 
     class Uneven(Judge):
         def runs(self, plant):
-            whole, short = ((0.6 * spread, 0.3 * spread) if plant.parameters["b"] == 2.0
-                            else (0.2 * spread[::-1], windows * spread[::-1]))  # fmt: skip
-            return runs_with(whole.tolist())[0], runs_with(short.tolist())[1]
+            sizes, order = (
+                ((0.6, 0.3), 1) if plant.parameters["b"] == 2.0 else ((whole, windows), -1)
+            )
+            long_runs, short = (runs_with((size * spread[::order]).tolist()) for size in sizes)
+            return long_runs[0], short[1]
 
     base, judged, other = (
         Judged(replace(REFINEMENT, plant=MASS.with_parameters({"b": gain})), placed,

@@ -40,12 +40,20 @@ class Parameter:
         unit: template; {f}, {y}, {v}, {u} are the units of y^(r), the output, its rate, the input;
             {f/y}, {f/v} are quotients, a power of 1/s where y^(r) is a derivative of y or v.
         lower, upper: physical range.
+        reach: factor by which a fit may change a positive value that it starts from.
     """
 
     name: str
     unit: str
     lower: float = -np.inf
     upper: float = np.inf
+    reach: float = np.inf
+
+    def bounds(self, value: float) -> tuple[float, float]:
+        """The range of a fit that starts from this value."""
+        if value <= 0.0:
+            return self.lower, self.upper
+        return max(self.lower, value / self.reach), min(self.upper, value * self.reach)
 
 
 class At(NamedTuple):

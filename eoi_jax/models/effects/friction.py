@@ -144,13 +144,14 @@ class RateFriction(AbstractFriction):
 
     Where the output of degree two is a speed, its model is the law of motion differentiated. Dry
     friction -c sign(y) of that law is a jump of y' by 2 c at each turn of the motion, here over the
-    width w. An output y' of sign(y') would be friction against the acceleration.
+    width w: no record tells how narrow it is, and steps of a simulation must resolve it. A function
+    of sign(y') would be friction against the acceleration.
     """
 
     name = "rate_friction"
     sentence = "dry friction of a motion of which the output is the speed"
     gains = (Parameter("level", "{v}", lower=0.0),)
-    shapes = (Parameter("width", "{y}", lower=0.0),)
+    shapes = (Parameter("width", "{y}", lower=0.0, reach=1.5),)
     depends_on = "y"
     only_in_free_runs = True
     needs = "a speed of relative degree two"
@@ -162,8 +163,8 @@ class RateFriction(AbstractFriction):
         return turns(seen.y)
 
     def grid(self, seen: Seen) -> Grid:
-        # Samples that see the jump do not tell a width below a small part of the swing.
-        return np.array([[0.05], [0.15]]) * _rms(seen.y)
+        # A small part of the swing, and what it passes in a sample.
+        return np.array([[max(0.1 * _rms(seen.y), _rms(seen.v) * seen.sample_period)]])
 
     def term(self, at: At, gain: Any, shape: Any) -> Any:
         return -gain[0] * at.v / shape[0] * (1.0 - jnp.tanh(at.y / shape[0]) ** 2)
