@@ -546,6 +546,26 @@ def test_a_part_that_is_not_measured_has_friction_where_torques_move_it():
     assert not friction.shows(replace(seen(), y=np.abs(seen().y)))
 
 
+def test_dry_friction_of_a_rate_turns_its_derivative_and_keeps_a_width_that_steps_resolve():
+    """∫ dF/dt over a turn is 2 F, whatever the width; a fit may change that by half."""
+    law, (level, width) = effects.RateFriction(), (0.7, 0.2)
+    time = np.linspace(-0.5, 0.5, 4001)
+    y, v = 3.0 * time, np.full(time.shape, 3.0)
+    force = np.array([law.term(At(t, y, v, 0.0, ()), [level], [width])
+                      for t, y, v in zip(time, y, v, strict=True)])  # fmt: skip
+    assert np.sum(force) * (time[1] - time[0]) == pytest.approx(-2.0 * level, rel=1e-3)
+    swing = eoi.Plant(lambda t, x, u, p: -p.k * x.y[0], {"k": 9.0}, 2, inputs=(),
+                      outputs=("rate",), units={"rate": "rad/s"})  # fmt: skip
+    (placed,) = placements(swing, [law])
+    plant = augmented(swing, [placed], dict(zip(placed.names, (level, width), strict=True)))
+    limits = dict(zip(plant.names, zip(plant.lower, plant.upper, strict=True), strict=True))
+    assert limits["rate_friction_level"] == (0.0, np.inf)
+    assert limits["rate_friction_width"] == pytest.approx((width / 1.5, 1.5 * width))
+    angle = eoi.Plant(lambda t, x, u, p: -p.k * x.y[0], {"k": 9.0}, 2, inputs=(),
+                      outputs=("angle",), units={"angle": "rad"})  # fmt: skip
+    assert not placements(angle, [law])
+
+
 def test_an_input_of_one_sign_has_one_gain():
     asymmetry = effects.InputAsymmetry()
     assert len(asymmetry.grid(seen())) > 1
