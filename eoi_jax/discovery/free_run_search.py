@@ -46,7 +46,13 @@ from eoi_jax.discovery.refit import not_simulated
 from eoi_jax.discovery.replacements import replaced_terms, replacements, turned_terms
 from eoi_jax.discovery.rules import RULES
 from eoi_jax.models.augmented import Placed, augmented, place
-from eoi_jax.models.effects import PRODUCTS, ConstantOffset, Drift, SinusoidalDisturbance
+from eoi_jax.models.effects import (
+    PRODUCTS,
+    ConstantOffset,
+    Drift,
+    ParameterDependence,
+    SinusoidalDisturbance,
+)
 from eoi_jax.models.effects.effect import AbstractCascade, AbstractEffect
 from eoi_jax.models.placements import placements
 from eoi_jax.models.plant import Plant
@@ -300,8 +306,12 @@ class Search:
         products = [i for i, (_, placed) in enumerate(models) if _has_product(placed)]
         models = [model for i, model in enumerate(models) if i not in products[allowed:]]
         further = _further_shapes(tested, items)[: _RULES.shapes]
+        # There may be many dependences, too: they have room of their own.
+        laws = [model for model in models if not _depends(model[1])]
+        dependences = [model for model in models if _depends(model[1])]
         return [
-            *models[: _RULES.tried + len(certain)],
+            *laws[: _RULES.tried + len(certain)],
+            *dependences[: _RULES.dependences],
             *((augmented(plant, item.placed, item.values), item.placed) for item in further),
         ]
 
@@ -338,7 +348,15 @@ class Search:
         return [item for item in self.further(model) if not has_size(item, model.refinement)]
 
     def further_forms(self, trials: Sequence[Judged]) -> list[Judged]:
-        """The best model that has an effect of several forms, in the form that fits best."""
+        """The best model that has an effect of several forms, in the form that fits best.
+
+        And the best one with a dependence of a parameter, which is such an effect.
+        """
+        groups = ([trial for trial in trials if _depends(trial.placed) == depends]
+                  for depends in (False, True))  # fmt: skip
+        return [trial for group in groups for trial in self._in_best_form(group)]
+
+    def _in_best_form(self, trials: Sequence[Judged]) -> list[Judged]:
         candidates = [trial for trial in trials if self._next_forms(trial) is not None]
         best = first = min(candidates, key=lambda trial: trial.error, default=None)
         while best is not None and (placed := self._next_forms(best)) is not None:
@@ -580,6 +598,11 @@ def _further_shapes(tested: Remaining, items: Sequence[Candidate]) -> list[Candi
 def _has_product(placed: Sequence[Placed]) -> bool:
     """Whether one of some effects is a product of signals."""
     return any(isinstance(item.effect, PRODUCTS) for item in placed)
+
+
+def _depends(placed: Sequence[Placed]) -> bool:
+    """Whether one of some effects is a dependence of a parameter."""
+    return any(isinstance(item.effect, ParameterDependence) for item in placed)
 
 
 def _in_time(placed: Sequence[Placed]) -> bool:

@@ -280,6 +280,8 @@ class FreeRunRules:
     # `same_cost`; none of these was varied.
     most: int = 4  # effects or pairs that are added one after another
     tried: int = 6  # candidates that are refined with in each round
+    dependences: int = 2  # with a parameter that depends on a signal, besides; with steam_exchanger
+    # in view, whose cells such a one had displaced
     products: int = 3  # of these with a product of signals, which names no cause
     shapes: int = 2  # effects at other maxima of the score test; with throttle_valve in view
     # Share of the power of the errors, in the score test, from which on a candidate is tried beside
