@@ -117,6 +117,7 @@ def _score(key: str, values: Float[np.ndarray, " time"], table: Table) -> float:
     named = bool(_NAMES.match(_stem(key)))
     # A clock with restarts or repeats is accepted by its name or type, or where it ticks evenly.
     grows = forward > 0.5 and backward < 0.01 if named or dates else forward == 1.0
+    grows = grows or (named and forward > 0.5 and len(parts_between_restarts(values)) > 1)
     if not grows and not _ticks(steps):
         return 0.0
     unit_steps = bool(np.all(steps == 1.0))
@@ -212,8 +213,10 @@ def _clock_of(
 class RestartSettings:
     """When a clock that goes back is that of a logger that was started again."""
 
-    most_parts: int = 20  # more: the rows are not sorted
-    shortest: int = 100  # samples that are a record of its own
+    most_parts: int = 20  # more: the rows are not sorted, unless each part begins as the first did
+    same_start: float = 0.1  # of the span of a part, within which the next one begins as it did
+    shortest: int = 100  # samples that are a record of its own, or half of what parts usually have
+    fewest: int = 8  # samples of a record
 
 
 def parts_between_restarts(
@@ -230,8 +233,15 @@ def parts_between_restarts(
     steps = np.diff(stamps)
     restarts = np.flatnonzero(steps < np.zeros(1, steps.dtype)) + 1
     ranges = list(itertools.pairwise([0, *restarts.tolist(), len(stamps)]))
-    long = tuple((a, b) for a, b in ranges if b - a >= settings.shortest)
-    return long if long and len(ranges) <= settings.most_parts else ((0, len(stamps)),)
+    usual = 0.5 * float(np.median([b - a for a, b in ranges]))
+    shortest = max(settings.fewest, min(settings.shortest, usual))
+    long = tuple((a, b) for a, b in ranges if b - a >= shortest)
+    spans = np.asarray([stamps[b - 1] - stamps[a] for a, b in ranges[:-1]])
+    moved = np.abs(stamps[restarts] - stamps[[a for a, _ in ranges[:-1]]])
+    sorted_rows = len(ranges) <= settings.most_parts or bool(
+        np.all(moved <= settings.same_start * spans)
+    )
+    return long if long and sorted_rows else ((0, len(stamps)),)
 
 
 def _dates_in_days(values: np.ndarray) -> str:

@@ -591,6 +591,27 @@ def test_a_number_of_the_run_is_no_input(tmp_path):
     assert "run" in found.inputs
 
 
+def test_short_experiments_below_each_other_are_records_of_their_own(tmp_path):
+    """As tables of subjects: 30 of twelve samples each, at hours of their own choice."""
+    hours = np.array([0, 0.25, 0.5, 1, 1.5, 2, 3, 4, 6, 8, 12, 24])
+    count = 30
+    columns = {
+        "ID": np.repeat(np.arange(count), 12),
+        "TIME": np.tile(hours, count),
+        "DV": np.exp(-np.tile(hours, count)) + 0.01 * DRAW.standard_normal(12 * count),
+    }
+    found = inspect(written(tmp_path / "run.csv", **columns))
+    assert roles(found) == {"ID": "other", "TIME": "time", "DV": "output"}
+    assert found.parts == tuple((12 * i, 12 * i + 12) for i in range(count))
+
+
+def test_rows_that_are_not_sorted_are_no_restarts(tmp_path):
+    late = np.arange(N, dtype=float)
+    late[10::15] -= 3.0  # forty of them, beside the one before
+    found = inspect(written(tmp_path / "run.csv", t=late * H, u=U, y=Y))
+    assert found.parts == ((0, N),)
+
+
 def test_the_only_column_is_the_output(tmp_path):
     level = np.exp(-T)
     level[300:] += 1.0  # it jumps as an input does
