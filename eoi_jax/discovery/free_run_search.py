@@ -34,6 +34,7 @@ import numpy as np
 from eoi_jax.data.holds import SETTINGS
 from eoi_jax.data.record import Record
 from eoi_jax.discovery.additions import has_size
+from eoi_jax.discovery.confirm import leaves_motion
 from eoi_jax.discovery.judge import (
     Judge,
     Judged,
@@ -159,7 +160,9 @@ def search_free_runs(
         return None
     search = _most_likely(searches)
     best, rounds = search.base, []
-    for number in range(1 if present else _RULES.most):
+    # A refined answer that leaves noise alone lacks nothing.
+    settled = present and not leaves_motion(best.runs[1] or best.runs[0], judge.records)
+    for number in range(0 if settled else 1 if present else _RULES.most):
         # What short runs do not show or fit a whole one may, and the other way about.
         models = [
             (plant, placed, origin)

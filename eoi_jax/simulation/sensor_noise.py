@@ -38,7 +38,8 @@ def sensor_noise(*free_runs: Validation | None) -> Float[np.ndarray, " ny"]:
 
     Returns:
         The largest over the records of `Record.noise`, each reduced to what the differences of
-        the errors show: those of the model that leaves least. Not below that of rounding.
+        the errors show: those of the model that leaves least. Not below that of rounding, of the
+        samples and of a simulation, to which each of its steps adds ε |y|.
     """
     return np.min([_bound(run) for run in free_runs if run is not None], axis=0)
 
@@ -79,4 +80,6 @@ def _of_record(
             unprepared = own_noise(record.outputs[:, [j]], record.output_valid[:, j])[0]
             rounding = min(record.quantum[j] / np.sqrt(12.0), level)
             noise[j] = np.clip(error * level / unprepared, rounding, level)
+        largest = np.max(np.abs(record.outputs[places, j]), initial=0.0)
+        noise[j] = max(noise[j], np.finfo(float).eps * largest * len(record))
     return noise

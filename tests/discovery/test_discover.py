@@ -682,7 +682,7 @@ def test_what_a_bound_takes_away_is_not_explained():
     fit, held = records("coulomb")
     got = eoi.discover(plant, fit, held, "coulomb_friction")
     assert got.plant.parameters["k"] == 19.8
-    assert got.notes[-1].startswith("k ended on its bound, 19.8: ")
+    assert any(note.startswith("k ended on its bound, 19.8: ") for note in got.notes)
     assert got.effects == ("coulomb_friction",)
     assert np.isnan(got.found.standard_errors["k"])
     # Free runs refine the answer where records are held out; the share is that of the injection.

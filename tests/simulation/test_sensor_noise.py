@@ -81,3 +81,12 @@ def test_the_bound_is_not_below_rounding_and_not_above_what_differences_show():
     assert sensor_noise(judged_runs(plant, rounded))[0] >= step * (1.0 - 1e-9)
     still = plant.with_parameters({"b": 0.0})
     assert sensor_noise(judged_runs(still, record))[0] <= record.noise[0]
+
+
+def test_rounding_of_a_simulation_is_no_motion():
+    """30 000 samples without noise: the true model leaves what its arithmetic adds up to."""
+    rates, push = np.array([[0.0, 1.0], [-40.0, -1.0]]), np.array([0.0, 1.0])
+    plant = eoi.Plant(lambda t, x, u, p: p.b * u - 40.0 * x.y[0] - x.y[1], {"b": 1.0}, 2)
+    record = simulated(rates, push, period=1e-3, seed=4, count=30_000, noise=0.0)
+    runs = judged_runs(plant, record)
+    assert 0.0 < runs.rmse[0] < sensor_noise(runs)[0] < 1e-9 * np.std(record.outputs)

@@ -37,6 +37,7 @@ from eoi_jax.models.effects.effect import AbstractParameterEffect, At, Grid, Par
 from eoi_jax.models.effects.signals import Signal, is_of, signals_of
 from eoi_jax.models.plant import Plant, State
 from eoi_jax.models.units import quotient_unit
+from eoi_jax.models.used_inputs import used_inputs
 
 
 @dataclass(frozen=True)
@@ -151,6 +152,18 @@ class ParameterDependence(AbstractParameterEffect):
     def fits(self, plant: Plant, output: int) -> bool:
         has_signal = all(is_of(plant, signal) for signal in self.signals)
         return has_signal and super().fits(plant, output)
+
+    def has_foreign_signal(self, plant: Plant) -> bool:
+        """Whether the equation of the output does not have z: another output, or an unused input.
+
+        The equation has time, too.
+        """
+        output = plant.outputs.index(self.acts_on)
+        unused = ~used_inputs(plant)[output]
+        return any(
+            signal.column != output if signal.row is not None else unused[signal.column]
+            for signal in self.signals
+        )
 
     def grid(self, seen: Seen) -> Grid:
         return np.array(_SETTINGS.steps)[:, None] / self.reach
@@ -283,6 +296,8 @@ def _points(plant: Plant, records: Sequence[Record]) -> tuple[np.ndarray, ...]:
 
     def drawn(values: np.ndarray) -> np.ndarray:
         """Over the middle of a range, each column apart; never a constant."""
+        if not values.size:  # no inputs: NumPy has no quantile of nothing
+            return np.zeros((_SETTINGS.points, *values.shape[1:]))
         low, high = np.nanquantile(values, (0.01, 0.99), axis=0)
         width = np.maximum(high - low, 1e-6 + 1e-3 * np.abs(low))
         return low + width * draw.uniform(size=(_SETTINGS.points, *values.shape[1:]))

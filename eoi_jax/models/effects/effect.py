@@ -51,7 +51,7 @@ class Parameter:
 
     def bounds(self, value: float) -> tuple[float, float]:
         """The range of a fit that starts from this value."""
-        if value <= 0.0:
+        if value <= 0.0 or np.isinf(self.reach):
             return self.lower, self.upper
         return max(self.lower, value / self.reach), min(self.upper, value * self.reach)
 
