@@ -97,8 +97,9 @@ def discover(
             `records`, and the answer says so.
         effects: to try, as names or objects; by default all of `eoi_jax.effects.standard()` and
             actions of inputs that no equation has; where these leave the residual unexplained,
-            beside them `eoi_jax.effects.rare()`, `couplings(plant)`, `input_actions(plant)` and
-            `parameter_dependences(plant, records)`; these also where an answer leaves more.
+            beside them `eoi_jax.effects.rare()`, `couplings(plant)`, `input_actions(plant)` and, on
+            signals that the equation does not have, `parameter_dependences(plant, records)`. All
+            of these, and `eoi_jax.effects.wider()`, are tried in free runs.
         lowpass: F of the fits; chosen from the records if left out.
         alpha: level of false alarms: the chance that a model which lacks nothing gets an effect.
         most: effects that one round of the search may add at most.
