@@ -81,21 +81,6 @@ def beyond_noise(
     ]
 
 
-def leaves_motion(runs: Validation, records: Sequence[Record]) -> bool:
-    """Whether free runs miss by more than noise, or by less than what was read as noise.
-
-    That then was fast motion, and tells nothing.
-
-    Args:
-        runs: free runs in windows, or whole ones.
-        records: that were simulated.
-    """
-    fast = (runs.rmse < RULES.questions.motion * sensor_noise(runs)) & (
-        runs.nrmse > RULES.questions.small
-    )
-    return bool(np.any(fast)) or bool(beyond_noise(runs, records))
-
-
 def _growth(prior: FreeRuns, after: FreeRuns) -> list[Float[np.ndarray, " ny"]]:
     """Logarithm of the error ratio after/before, whole and in windows; no entry if both diverge."""
     return [

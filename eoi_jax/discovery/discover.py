@@ -140,8 +140,6 @@ def discover(
     of_plant = (
         *couplings(plant),
         *(action for action in input_actions(plant) if action not in tried_effects),
-        # Products and laws with a shape do much the same with the signals of the equation, and are
-        # tried in free runs: the others compete with couplings and actions here.
         *(law for law in dependences if law.has_foreign_signal(plant)),
     )
     rare_effects = (*rare(), *of_plant) if effects is None else ()

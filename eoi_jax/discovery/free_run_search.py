@@ -34,13 +34,13 @@ import numpy as np
 from eoi_jax.data.holds import SETTINGS
 from eoi_jax.data.record import Record
 from eoi_jax.discovery.additions import has_size
-from eoi_jax.discovery.confirm import leaves_motion
 from eoi_jax.discovery.judge import (
     Judge,
     Judged,
     error_ratio,
     least_error_ratio,
     mean_error,
+    only_otherwise,
 )
 from eoi_jax.discovery.probability import Contest
 from eoi_jax.discovery.refit import not_simulated
@@ -61,6 +61,7 @@ from eoi_jax.refinement.refine import refine_once
 from eoi_jax.refinement.remaining import Remaining, remaining
 from eoi_jax.refinement.score_test import Candidate, is_tested
 from eoi_jax.simulation.error_growth import is_lost, returns
+from eoi_jax.simulation.sensor_noise import is_rounding
 from eoi_jax.simulation.validate import FreeRuns
 
 _RULES = RULES.free_runs
@@ -160,9 +161,9 @@ def search_free_runs(
         return None
     search = _most_likely(searches)
     best, rounds = search.base, []
-    # A refined answer that leaves noise alone lacks nothing.
-    settled = present and not leaves_motion(best.runs[1] or best.runs[0], judge.records)
-    for number in range(0 if settled else 1 if present else _RULES.most):
+    for number in range(1 if present else _RULES.most):
+        if all(is_rounding(run) for run in best.runs if run):
+            break
         # What short runs do not show or fit a whole one may, and the other way about.
         models = [
             (plant, placed, origin)
@@ -468,16 +469,6 @@ def contradicted_by_fit(answer: FreeRunAnswer) -> bool:
         return False
     base, best = (model.refinement.plant for model in (answer.base, answer.best))
     return only_otherwise(judge, best, base)
-
-
-def only_otherwise(judge: Judge, trial: Plant, rival: Plant) -> bool:
-    """Whether a model predicts the records of a judge otherwise than another one, hardly better."""
-    pairs = zip(judge.runs(trial), judge.runs(rival), strict=True)
-    ratios = [
-        (error_ratio(new, old), least_error_ratio(new, old)) for new, old in pairs if new and old
-    ]
-    reached, attainable = np.exp(np.mean(np.log(ratios), axis=0))
-    return bool(attainable < RULES.answer.confirmed <= reached)
 
 
 def refined(

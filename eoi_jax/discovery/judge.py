@@ -240,6 +240,16 @@ def least_error_ratio(trial: Validation, rival: Validation) -> float:
     return float(np.exp(0.5 * np.mean(np.log(noise))))
 
 
+def only_otherwise(judge: Judge, trial: Plant, rival: Plant) -> bool:
+    """Whether a model predicts the records of a judge otherwise than another one, hardly better."""
+    pairs = zip(judge.runs(trial), judge.runs(rival), strict=True)
+    ratios = [
+        (error_ratio(new, old), least_error_ratio(new, old)) for new, old in pairs if new and old
+    ]
+    reached, attainable = np.exp(np.mean(np.log(ratios), axis=0))
+    return bool(attainable < RULES.answer.confirmed <= reached)
+
+
 def noise_level(runs: FreeRuns) -> float:
     """What the mean error would be if the errors were the noise of the sensors."""
     levels = []

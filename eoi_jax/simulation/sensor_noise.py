@@ -54,6 +54,11 @@ def shows_noise(run: Validation) -> Bool[np.ndarray, " ny"]:
     return sensor_noise(run) >= _SETTINGS.agreement * noise
 
 
+def is_rounding(run: Validation) -> bool:
+    """Whether the errors of free runs are those of the arithmetic: no model has smaller ones."""
+    return bool(np.all(run.rmse <= np.max([_rounding(record) for record in run.records], axis=0)))
+
+
 def _bound(run: Validation) -> Float[np.ndarray, " ny"]:
     scored = run.scored_at or tuple(np.ones(len(record), bool) for record in run.records)
     predicted = [prediction.outputs for prediction in run.predictions]
@@ -80,6 +85,10 @@ def _of_record(
             unprepared = own_noise(record.outputs[:, [j]], record.output_valid[:, j])[0]
             rounding = min(record.quantum[j] / np.sqrt(12.0), level)
             noise[j] = np.clip(error * level / unprepared, rounding, level)
-        largest = np.max(np.abs(record.outputs[places, j]), initial=0.0)
-        noise[j] = max(noise[j], np.finfo(float).eps * largest * len(record))
-    return noise
+    return np.maximum(noise, _rounding(record))
+
+
+def _rounding(record: Record) -> Float[np.ndarray, " ny"]:
+    """What the rounding of the steps of a free run adds up to, at most: ε |y| for each sample."""
+    largest = np.max(np.abs(record.outputs), axis=0, where=record.output_valid, initial=0.0)
+    return np.finfo(float).eps * largest * len(record)

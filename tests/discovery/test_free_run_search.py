@@ -13,10 +13,9 @@ from eoi_jax.discovery import free_run_search, in_free_runs
 from eoi_jax.discovery.free_run_search import (
     FreeRunAnswer,
     Search,
-    only_otherwise,
     search_free_runs,
 )
-from eoi_jax.discovery.judge import Judge, Judged, _standardised, mean_error
+from eoi_jax.discovery.judge import Judge, Judged, _standardised, mean_error, only_otherwise
 from eoi_jax.discovery.probability import Contest
 from eoi_jax.models.augmented import augmented, place
 from eoi_jax.models.effects import Product

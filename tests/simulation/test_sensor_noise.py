@@ -5,7 +5,7 @@ import pytest
 from scipy.linalg import expm
 
 import eoi_jax as eoi
-from eoi_jax.simulation.sensor_noise import sensor_noise
+from eoi_jax.simulation.sensor_noise import is_rounding, sensor_noise
 from eoi_jax.simulation.validate import judged_runs
 
 NOISE = 0.02
@@ -90,3 +90,5 @@ def test_rounding_of_a_simulation_is_no_motion():
     record = simulated(rates, push, period=1e-3, seed=4, count=30_000, noise=0.0)
     runs = judged_runs(plant, record)
     assert 0.0 < runs.rmse[0] < sensor_noise(runs)[0] < 1e-9 * np.std(record.outputs)
+    assert is_rounding(runs)
+    assert not is_rounding(judged_runs(plant.with_parameters({"b": 1.0 + 1e-6}), record))

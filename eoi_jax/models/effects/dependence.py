@@ -156,7 +156,8 @@ class ParameterDependence(AbstractParameterEffect):
     def has_foreign_signal(self, plant: Plant) -> bool:
         """Whether the equation of the output does not have z: another output, or an unused input.
 
-        The equation has time, too.
+        The equation has time, too. With its own signals products and laws with a shape do much the
+        same: they are compared in free runs alone. The others compete with couplings and actions.
         """
         output = plant.outputs.index(self.acts_on)
         unused = ~used_inputs(plant)[output]
