@@ -103,9 +103,12 @@ class ParameterDependence(AbstractParameterEffect):
 
     @property
     def rarity(self) -> float:  # pyright: ignore[reportIncompatibleVariableOverride]
-        """Of products: where one of k·x and b·u changes with the other signal, b does with x."""
+        """Above that of a product, which does the same as a line and says less of the model.
+
+        Where one of k·x and b·u changes with the other signal, b does with x.
+        """
         driven = any(signal.row is None for signal in self.signals)
-        return 1.5 if driven else 1.0
+        return 3.0 if driven else 2.5
 
     @property
     def signal(self) -> str:
