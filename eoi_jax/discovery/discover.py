@@ -98,8 +98,7 @@ def discover(
         effects: to try, as names or objects; by default all of `eoi_jax.effects.standard()` and
             actions of inputs that no equation has; where these leave the residual unexplained,
             beside them `eoi_jax.effects.rare()`, `couplings(plant)`, `input_actions(plant)` and, on
-            signals that the equation does not have, `parameter_dependences(plant, records)`. All
-            of these, and `eoi_jax.effects.wider()`, are tried in free runs.
+            signals that the equation does not have, `parameter_dependences(plant, records)`.
         lowpass: F of the fits; chosen from the records if left out.
         alpha: level of false alarms: the chance that a model which lacks nothing gets an effect.
         most: effects that one round of the search may add at most.
@@ -133,14 +132,14 @@ def discover(
             [record for _, record in parts],
         )
     held_out = held_out_records(plant, fit_records, validation)
-    tried_effects = requested(
-        plant, [effects] if isinstance(effects, str) else effects, fit_records
-    )
-    dependences = () if effects is not None else parameter_dependences(plant, fit_records)
+    asked = [effects] if isinstance(effects, str) else effects
+    tried_effects = requested(plant, asked, fit_records)
+    laws = () if effects is not None else parameter_dependences(plant, fit_records)
+    dependences = tuple(law for law in laws if law.has_foreign_signal(plant))
     of_plant = (
         *couplings(plant),
         *(action for action in input_actions(plant) if action not in tried_effects),
-        *(law for law in dependences if law.has_foreign_signal(plant)),
+        *dependences,
     )
     rare_effects = (*rare(), *of_plant) if effects is None else ()
     fitting = names_with_place(plant, tried_effects)

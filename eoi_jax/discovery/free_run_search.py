@@ -38,6 +38,7 @@ from eoi_jax.discovery.judge import (
     Judge,
     Judged,
     error_ratio,
+    errors_of_each,
     least_error_ratio,
     mean_error,
     only_otherwise,
@@ -62,7 +63,6 @@ from eoi_jax.refinement.remaining import Remaining, remaining
 from eoi_jax.refinement.score_test import Candidate, is_tested
 from eoi_jax.simulation.error_growth import is_lost, returns
 from eoi_jax.simulation.sensor_noise import is_rounding
-from eoi_jax.simulation.validate import FreeRuns
 
 _RULES = RULES.free_runs
 
@@ -119,7 +119,7 @@ class FreeRunAnswer:
             if fit.error < self.base.error:
                 runs = runs or judge.runs(final.refinement.plant)
                 trial = judge.runs(fit.refinement.plant)
-                pairs = zip(_errors_of_each(trial), _errors_of_each(runs), strict=True)
+                pairs = zip(errors_of_each(trial), errors_of_each(runs), strict=True)
                 if all(new < old for new, old in pairs) or judge.averages_better(trial, runs):
                     final, runs = fit, trial
         return final
@@ -514,11 +514,6 @@ def _fitted(
     if not refinement.status.fits:
         return None
     return Judged(refinement, placed, judge.runs(refinement.plant))
-
-
-def _errors_of_each(runs: FreeRuns) -> list[float]:
-    """Mean errors of long runs, and of short ones."""
-    return [mean_error((run, None)) for run in runs if run]
 
 
 def _portion(records: tuple[Record, ...]) -> tuple[Record, ...]:

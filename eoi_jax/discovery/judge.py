@@ -250,6 +250,11 @@ def only_otherwise(judge: Judge, trial: Plant, rival: Plant) -> bool:
     return bool(attainable < RULES.answer.confirmed <= reached)
 
 
+def errors_of_each(runs: FreeRuns) -> list[float]:
+    """Mean errors of long runs, and of short ones."""
+    return [mean_error((run, None)) for run in runs if run]
+
+
 def noise_level(runs: FreeRuns) -> float:
     """What the mean error would be if the errors were the noise of the sensors."""
     levels = []

@@ -103,12 +103,9 @@ class ParameterDependence(AbstractParameterEffect):
 
     @property
     def rarity(self) -> float:  # pyright: ignore[reportIncompatibleVariableOverride]
-        """Above that of a product, which does the same as a line and says less of the model.
-
-        Where one of k·x and b·u changes with the other signal, b does with x.
-        """
+        """Of products: where one of k·x and b·u changes with the other signal, b does with x."""
         driven = any(signal.row is None for signal in self.signals)
-        return 3.0 if driven else 2.5
+        return 1.5 if driven else 1.0
 
     @property
     def signal(self) -> str:
@@ -159,8 +156,8 @@ class ParameterDependence(AbstractParameterEffect):
     def has_foreign_signal(self, plant: Plant) -> bool:
         """Whether the equation of the output does not have z: another output, or an unused input.
 
-        The equation has time, too. With its own signals products and laws with a shape do much the
-        same: they are compared in free runs alone. The others compete with couplings and actions.
+        The equation has time, too. With its own signals products, curves and laws with a shape do
+        much the same, and say it shorter.
         """
         output = plant.outputs.index(self.acts_on)
         unused = ~used_inputs(plant)[output]
