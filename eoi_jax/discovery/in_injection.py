@@ -85,14 +85,14 @@ def search_injection(
     runs, judging = discovery.windows_after, task.held_out or task.records
     denied_by_runs = task.plant.has_algebraic and bool(beyond_noise(runs, judging))
     quiet = discovery.status.code == "nothing_missing"
-    open_answers = discovery.status.code == "unexplained" or (quiet and denied_by_runs)
-    if not open_answers:
+    is_open = discovery.status.code == "unexplained" or (quiet and denied_by_runs)
+    if not is_open:
         rare_effects = _dependences_beside(discovery, rare_effects)
     if rare_effects and placements(task.plant, rare_effects):
         rare_discovery = _with_rare(start, rare_effects, progress, rounds[0], runs_before())
-        if _takes_place(rare_discovery, None if open_answers else discovery, rare_effects):
+        if _takes_place(rare_discovery, None if is_open else discovery, rare_effects):
             return Searched(rare_discovery)
-    if quiet or not open_answers:
+    if quiet or not is_open:
         return Searched(discovery)
     partial = tuple(step[:2] for step in reversed(steps) if not not_simulated(step.model))
     return Searched(discovery, partial, lambda: _lead(task, steps, rounds, runs_before()))
@@ -120,9 +120,9 @@ def _takes_place(
 
     In its place held-out free runs must confirm it.
     """
-    added, most = [item.effect for item in rare_discovery.added], _RULES.rare_most
+    added = [item.effect for item in rare_discovery.added]
     named = any(isinstance(item, ParameterDependence) or item in effects for item in added)
-    share, most = _RULES.rare_share, max(most, len(rare_discovery.plant.outputs))
+    share, most = _RULES.rare_share, max(_RULES.rare_most, len(rare_discovery.plant.outputs))
     if rival is not None:
         share, most = max(share, rival.explained), max(most, len(rival.added) + 1)
         before, after = (answer.windows_after or answer.after for answer in (rival, rare_discovery))

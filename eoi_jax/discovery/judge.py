@@ -379,5 +379,5 @@ def _standardised(values: Float[np.ndarray, " blocks"]) -> float:
     """Mean over its standard error; 0 of a single block, which has none."""
     if len(values) < 2:
         return 0.0
-    spread = float(np.std(values, ddof=1)) / np.sqrt(len(values))
-    return float(np.mean(values)) / max(spread, np.finfo(float).tiny)
+    spread = float(np.std(values, ddof=1) / np.sqrt(len(values)))
+    return float(np.mean(values)) / max(spread, float(np.finfo(float).tiny))
