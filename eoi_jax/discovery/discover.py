@@ -61,10 +61,10 @@ from eoi_jax.models.effects import (
     couplings,
     input_actions,
     input_products,
-    parameter_dependences,
     rare,
     wider,
 )
+from eoi_jax.models.effects.dependence import foreign_dependences
 from eoi_jax.models.effects.effect import AbstractEffect
 from eoi_jax.models.plant import Plant
 
@@ -134,14 +134,12 @@ def discover(
     held_out = held_out_records(plant, fit_records, validation)
     asked = [effects] if isinstance(effects, str) else effects
     tried_effects = requested(plant, asked, fit_records)
-    laws = () if effects is not None else parameter_dependences(plant, fit_records)
-    dependences = tuple(law for law in laws if law.has_foreign_signal(plant))
-    of_plant = (
+    rare_effects = () if effects is not None else (
+        *rare(),
         *couplings(plant),
         *(action for action in input_actions(plant) if action not in tried_effects),
-        *dependences,
-    )
-    rare_effects = (*rare(), *of_plant) if effects is None else ()
+        *foreign_dependences(plant, fit_records),
+    )  # fmt: skip
     fitting = names_with_place(plant, tried_effects)
     check(0.0 < real(alpha) < 1.0, "alpha", "must lie in (0, 1)", alpha, "0.01 is a common choice.")
     most = check_count("most", most)
@@ -150,7 +148,7 @@ def discover(
     progress = callback or _no_progress
     progress("fitting the declared model", 0, STAGES)
     search = _Search(
-        plant, lowpass, tried_effects, rare_effects, dependences, alpha, most, window, refine,
+        plant, lowpass, tried_effects, rare_effects, alpha, most, window, refine,
         effects is not None, progress,
     )  # fmt: skip
     indices = hold_indices(plant, fit_records, declared_index, lowpass)
@@ -188,7 +186,6 @@ class _Search:
     lowpass: LowPass | None
     effects: tuple[AbstractEffect, ...]
     rare: tuple[AbstractEffect, ...]
-    dependences: tuple[AbstractEffect, ...]
     alpha: float
     most: int
     window: float | None
@@ -212,7 +209,8 @@ class _Search:
         """
         discovery, start = searched.discovery, min(float(record.time[0]) for record in records)
         of_plant = input_products(self.plant) + couplings(self.plant) + input_actions(self.plant)
-        further = () if self.named else (*wider(), *of_plant, *self.dependences)
+        dependences = (law for law in self.rare if isinstance(law, ParameterDependence))
+        further = () if self.named else (*wider(), *of_plant, *dependences)
         effects = [effect.since(start) for effect in dict.fromkeys((*self.effects, *further))]
         if leaves_more(discovery):
             discovery = unless_refined_is_better(discovery, records)

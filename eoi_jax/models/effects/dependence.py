@@ -28,7 +28,7 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 
 from eoi_jax._checks import check, check_choice
 from eoi_jax.compiler.pointwise import along
@@ -153,16 +153,19 @@ class ParameterDependence(AbstractParameterEffect):
         has_signal = all(is_of(plant, signal) for signal in self.signals)
         return has_signal and super().fits(plant, output)
 
-    def has_foreign_signal(self, plant: Plant) -> bool:
-        """Whether the equation of the output does not have z: another output, or an unused input.
+    def has_foreign_signal(self, plant: Plant, used: Bool[np.ndarray, "ny nu"]) -> bool:
+        """Whether z is not in the equation of the output: another output, or an unused input.
 
-        The equation has time, too. With its own signals products, curves and laws with a shape do
-        much the same, and say it shorter.
+        Time counts as a signal of the equation. With those, products, curves and laws with a shape
+        do much the same, and say it shorter.
+
+        Args:
+            plant: the model.
+            used: inputs that each equation has.
         """
         output = plant.outputs.index(self.acts_on)
-        unused = ~used_inputs(plant)[output]
         return any(
-            signal.column != output if signal.row is not None else unused[signal.column]
+            signal.column != output if signal.row is not None else not used[output, signal.column]
             for signal in self.signals
         )
 
@@ -211,6 +214,13 @@ class ParameterDependence(AbstractParameterEffect):
         return levels[signal.column]
 
 
+def foreign_dependences(plant: Plant, records: Sequence[Record]) -> tuple[ParameterDependence, ...]:
+    """Those of `parameter_dependences` on signals that the equation does not have."""
+    used = used_inputs(plant)
+    laws = parameter_dependences(plant, records)
+    return tuple(law for law in laws if law.has_foreign_signal(plant, used))
+
+
 def parameter_dependences(
     plant: Plant, records: Sequence[Record], most: int = 24
 ) -> tuple[ParameterDependence, ...]:
@@ -222,7 +232,7 @@ def parameter_dependences(
     Args:
         plant: a model, with parameter values.
         records: whose ranges give z_0 and the largest a.
-        most: so many at most, those on outputs and inputs first.
+        most: so many at most, those on signals that the equation does not have first.
 
     Returns:
         One object for each pair of a parameter and a signal.
@@ -236,6 +246,7 @@ def parameter_dependences(
         return ()
     outputs, inputs = signals_of(plant)
     levels = (signal for signal in outputs if signal.row == 0)
+    single, used = _laws_of_one_signal(points), used_inputs(plant)
     dependences: list[ParameterDependence] = []
     for signal in (*levels, *inputs, None):
         center, reach = _range(records, signal)
@@ -245,8 +256,9 @@ def parameter_dependences(
             unit = "s" if signal is None else plant.units.get(signal.name, "")
             dependences += [
                 ParameterDependence(plant.names[i], plant.outputs[j], signals, center, reach, unit)
-                for i, j in _informative(plant, outer, inner, centered, _laws_of_one_signal(points))
+                for i, j in _informative(plant, outer, inner, centered, single)
             ]
+    dependences.sort(key=lambda law: not law.has_foreign_signal(plant, used))  # stable
     return tuple(dependences[:most])
 
 

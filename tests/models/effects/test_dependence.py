@@ -8,6 +8,7 @@ import eoi_jax as eoi
 from eoi_jax import effects
 from eoi_jax.discovery.result import Added
 from eoi_jax.models.augmented import Placed, augmented, place
+from eoi_jax.models.effects.dependence import foreign_dependences
 from eoi_jax.models.effects.signals import Signal
 from eoi_jax.models.equations.display import equation_text
 from eoi_jax.models.placements import placements
@@ -140,6 +141,13 @@ def test_there_are_as_many_as_asked_for_at_most_and_each_has_one_place():
     assert [placed.channel for placed in placements(motor(), several)] == [0, 0, 0]
     other = eoi.plant_from_text({"y": "u - a*y"}, {"a": 1.0}, ["y"], ["u"])
     assert placements(other, several) == []
+
+
+def test_signals_that_the_equation_does_not_have_come_first():
+    """What the others do, products and curves do as well: they are the ones to leave out."""
+    first = effects.parameter_dependences(motor(), [record()], most=2)
+    assert [effect.form for effect in first] == ["k of temperature", "d of temperature"]
+    assert foreign_dependences(motor(), [record()]) == first
 
 
 def test_the_centre_is_a_plain_number_in_the_middle_of_the_records():
