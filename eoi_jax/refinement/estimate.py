@@ -14,7 +14,7 @@ from eoi_jax.data.wrapped_outputs import wrapped_notes
 from eoi_jax.estimation.common_factors import CommonFactor, common_factors
 from eoi_jax.estimation.regression.least_squares import least_squares, standard_errors, untraced
 from eoi_jax.estimation.regression.orthonormal import orthonormal
-from eoi_jax.estimation.regression.robust_covariance import long_run
+from eoi_jax.estimation.regression.robust_covariance import covariance_of_estimate
 from eoi_jax.models.plant import Plant
 from eoi_jax.refinement.fit import Fit, log_cost, rms
 from eoi_jax.refinement.problem import CONVERGED
@@ -191,11 +191,19 @@ def _certainty(fit: Fit, plant: Plant, bound: Sequence[str], spans: Sequence[Spa
     flat = rows.reshape(-1, len(names))
     square = flat.T @ flat
     solution = least_squares(square, np.zeros(len(names)), loose)
-    small, small_freedom = long_run(scores, rows, np.asarray(solution.inverse), lengths.tolist())
+    small, small_freedom = covariance_of_estimate(
+        scores, rows, np.asarray(solution.inverse), lengths.tolist(), _residuals(fit)
+    )
     freedom[free] = small_freedom
     small[loose == 0] = small[:, loose == 0] = np.nan
     covariance[np.ix_(free, free)], information[np.ix_(free, free)] = small, square
     return _Certainty(covariance, information, freedom, untraced(solution, names, loose))
+
+
+def _residuals(fit: Fit) -> list[np.ndarray]:
+    """Residual of each output of each run, (samples,), over its rms; NaN where not scored."""
+    scaled = np.where(fit.use, fit.error / np.maximum(rms(fit.error, fit.use), 1e-300), np.nan)
+    return [run[:, j] for run in scaled for j in range(run.shape[1])]
 
 
 def _run_scores(

@@ -53,8 +53,9 @@ class Refinement(Result):
     Attributes:
         parameters: estimate by name.
         standard_errors: by name; from the slowest cosines of the scores, so that they know that
-            residuals are coloured (`regression/long_run.py`). NaN for a parameter on its bound,
-            infinite for one that the data leave open, 0 for a fixed one.
+            residuals are coloured, or from all where these pass as white
+            (`regression/robust_covariance.py`). NaN for a parameter on its bound, infinite for one
+            that the data leave open, 0 for a fixed one.
         covariance: of the parameters, shape (np, np).
         plant: with the estimate; `nominal` is the one it started from.
         starts: estimated initial state of each run.

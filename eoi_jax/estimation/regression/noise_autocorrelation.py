@@ -94,7 +94,7 @@ def ljung_box(parts: Sequence[np.ndarray]) -> tuple[Float[np.ndarray, " lag"], f
     rho, counts = correlations([(part, part) for part in parts], lags)
     if total < FEWEST:
         return rho, np.nan
-    used = np.arange(LAGS) < total // 5
+    used = (np.arange(LAGS) < total // 5) & (counts > 0)
     statistic = np.sum(((total + 2.0) / total * counts * rho**2)[used])
     return rho, float(gammaincc(0.5 * np.sum(used), 0.5 * statistic))
 

@@ -34,9 +34,17 @@ instead of δ_ik times the share of record r in I. So S is multiplied from both 
 $G = E[S]$, and the variance of an estimate a'θ is a quadratic form in ε: with κ the eigenvalues of
 its matrix K_ik, it has (Σκ)²/Σκ² degrees of freedom. Few remain for regressors that do not repeat.
 
+**White residuals.** With all cosines, B_r = N_r - 1, S is by Parseval the sum of s sᵀ over samples,
+and D_i keeps a single sample: c_t = Φ_tᵀe_t, O_t = Φ_tᵀΦ_t, and W is diagonal. That is what
+`uncorrelated` computes. It has many more degrees of freedom, of 31 samples ten in place of two, and
+is right where residuals of different times are uncorrelated. `covariance_of_estimate` takes it
+where nothing speaks against that: neither the portmanteau test of the residuals, which sees what is
+short, nor the ratio of both variances of a parameter, which sees what is as slow as the regressors.
+
 **Sources.** E. Lazarus, D. Lewis, J. Stock, M. Watson, Journal of Business & Economic Statistics 36
 (2018) 541 (equal-weighted cosines, and B); R. Bell, D. McCaffrey, Survey Methodology 28 (2002) 169
-(both corrections, there for clusters in place of cosines).
+(both corrections, there for clusters in place of cosines); G. Ljung, G. Box, Biometrika 65 (1978)
+297 (portmanteau test).
 """
 
 from collections.abc import Iterator, Sequence
@@ -47,6 +55,7 @@ import numpy as np
 from jaxtyping import Float
 from numpy.lib.stride_tricks import sliding_window_view
 
+from eoi_jax.estimation.regression.noise_autocorrelation import ljung_box
 from eoi_jax.estimation.regression.orthonormal import informative_directions
 
 
@@ -57,6 +66,7 @@ class LongRunSettings:
     min_cosines: int = 2
     max_cosines: int = 1000  # beyond, all variances have the degrees of freedom of the cosines
     min_share: float = 0.05  # of a score left by the estimate, for which it is scaled up
+    white_level: float = 0.2  # of both tests: an AR(1) of 0.3 in 50 samples keeps 93 % of 95 %
 
 
 _SETTINGS = LongRunSettings()
@@ -82,31 +92,111 @@ def long_run(
     Returns:
         C, and the degrees of freedom. Infinite ones, with C = 0, where all scores are zero.
     """
-    size = len(inverse)
     if not np.any(scores):
-        return np.zeros_like(inverse), np.full(size, np.inf)
-    lengths = (
-        [len(scores)] if lengths is None else [int(length) for length in lengths if length > 0]
-    )
+        return _exact(inverse)
+    lengths = _lengths(scores, lengths)
     count = max(cosine_count(independent_samples(scores, lengths)), _SETTINGS.min_cosines)
-    estimated = np.any(inverse != 0, axis=0)
-    if not np.all(estimated):
-        scores, rows, inverse = scores[:, estimated], rows[..., estimated], inverse[:, estimated]
-    # The columns of the rows times `unit` are orthonormal.
-    flat = rows.reshape(-1, rows.shape[2])
-    directions, eigenvalues = informative_directions(flat.T @ flat)
-    unit = directions / np.sqrt(eigenvalues)
+    scores, rows, inverse, unit = _orthonormal(scores, rows, inverse)
     projected = scores @ unit
     groups = [
         _sums(projected[places], rows[places], unit, count / len(scores))
         for places in _of_one_length(lengths)
     ]
     spread = np.sum([group.spread for group in groups], axis=0)
-    values, vectors = np.linalg.eigh(np.sum([group.expected for group in groups], axis=0))
+    moved = _moved(inverse, unit, np.sum([group.expected for group in groups], axis=0))
+    return moved @ spread @ moved.T, _degrees_of_freedom(groups, moved)
+
+
+def uncorrelated(
+    scores: Float[np.ndarray, "time np"],
+    rows: Float[np.ndarray, "time ny np"],
+    inverse: Float[np.ndarray, "np np"],
+) -> tuple[Float[np.ndarray, "np np"], Float[np.ndarray, " np"]]:
+    """As `long_run`, of residuals that are uncorrelated in time, whatever their variances.
+
+    Args:
+        scores: s of each sample.
+        rows: φ_j.
+        inverse: I⁻¹.
+    """
+    if not np.any(scores):
+        return _exact(inverse)
+    scores, rows, inverse, unit = _orthonormal(scores, rows, inverse)
+    projected, rows = scores @ unit, rows @ unit
+    leverage = rows @ np.swapaxes(rows, 1, 2)  # Φ_t Φ_tᵀ, of the outputs of a sample
+    expected = np.eye(unit.shape[1]) - np.einsum("tik,tij,tjl->kl", rows, leverage, rows)
+    moved = _moved(inverse, unit, expected)
+    freedom = np.full(len(moved), np.inf)
+    for i in np.flatnonzero(np.any(moved != 0, axis=1)):
+        along = rows @ moved[i]
+        reached = np.einsum("tjk,tj->tk", rows, along)  # O_t m, m a row of `moved`
+        own, explained = np.sum(along**2, axis=1), np.sum(reached**2, axis=1)
+        square = np.sum(own**2 - 2.0 * own * explained) + np.sum((reached.T @ reached) ** 2)
+        freedom[i] = np.sum(own - explained) ** 2 / square
+    return moved @ (projected.T @ projected) @ moved.T, freedom
+
+
+def covariance_of_estimate(
+    scores: Float[np.ndarray, "time np"],
+    rows: Float[np.ndarray, "time ny np"],
+    inverse: Float[np.ndarray, "np np"],
+    lengths: Sequence[int],
+    residuals: Sequence[np.ndarray],
+) -> tuple[Float[np.ndarray, "np np"], Float[np.ndarray, " np"]]:
+    """That of `uncorrelated` where the residuals pass as white, else that of `long_run`.
+
+    Args:
+        scores: s of each sample.
+        rows: φ_j.
+        inverse: I⁻¹.
+        lengths: samples of each record.
+        residuals: of each output of each run, (samples,), of equal size; NaN where not scored.
+    """
+    from scipy.special import fdtrc
+
+    robust, freedom = long_run(scores, rows, inverse, lengths)
+    if not ljung_box(residuals)[1] > _SETTINGS.white_level:
+        return robust, freedom
+    white, white_freedom = uncorrelated(scores, rows, inverse)
+    varies = np.diagonal(white) > 0
+    ratio = np.diagonal(robust)[varies] / np.diagonal(white)[varies]
+    chance = fdtrc(freedom[varies], white_freedom[varies], ratio) * np.sum(varies)
+    is_white = bool(np.all(chance > _SETTINGS.white_level))
+    return (white, white_freedom) if is_white else (robust, freedom)
+
+
+def _exact(inverse: Float[np.ndarray, "np np"]) -> tuple[np.ndarray, np.ndarray]:
+    return np.zeros_like(inverse), np.full(len(inverse), np.inf)
+
+
+def _lengths(scores: np.ndarray, lengths: Sequence[int] | None) -> list[int]:
+    return [len(scores)] if lengths is None else [int(n) for n in lengths if n > 0]
+
+
+def _orthonormal(
+    scores: Float[np.ndarray, "time np"],
+    rows: Float[np.ndarray, "time ny np"],
+    inverse: Float[np.ndarray, "np np"],
+) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """Scores, rows and I⁻¹ of what was estimated; rows times the last one are orthonormal."""
+    estimated = np.any(inverse != 0, axis=0)
+    if not np.all(estimated):
+        scores, rows, inverse = scores[:, estimated], rows[..., estimated], inverse[:, estimated]
+    flat = rows.reshape(-1, rows.shape[2])
+    directions, eigenvalues = informative_directions(flat.T @ flat)
+    return scores, rows, inverse, directions / np.sqrt(eigenvalues)
+
+
+def _moved(
+    inverse: Float[np.ndarray, "np j"],
+    unit: Float[np.ndarray, "j k"],
+    expected: Float[np.ndarray, "k k"],
+) -> Float[np.ndarray, "np k"]:
+    """How scores made orthonormal, and corrected for the fit, move the estimate."""
+    values, vectors = np.linalg.eigh(expected)
     restored = vectors / np.sqrt(np.maximum(values, _SETTINGS.min_share)) @ vectors.T
     # θ moves by `inverse` times the sum of the scores: unit⁻ᵀ times those made orthonormal.
-    moved = inverse @ np.linalg.pinv(unit).T @ restored
-    return moved @ spread @ moved.T, _degrees_of_freedom(groups, moved)
+    return inverse @ np.linalg.pinv(unit).T @ restored
 
 
 def _of_one_length(lengths: Sequence[int], max_samples: int = 100_000) -> list[Any]:

@@ -4,7 +4,13 @@ import numpy as np
 import pytest
 from scipy.signal import lfilter
 
-from eoi_jax.estimation.regression.robust_covariance import correlation_time, long_run
+from eoi_jax.estimation.regression.noise_autocorrelation import ljung_box
+from eoi_jax.estimation.regression.robust_covariance import (
+    correlation_time,
+    covariance_of_estimate,
+    long_run,
+    uncorrelated,
+)
 from eoi_jax.uncertainty.uncertainty import student
 
 TRIALS = 600
@@ -242,3 +248,97 @@ def test_of_several_records_too_what_the_estimate_took_is_given_back():
     for i, row in enumerate(moved):
         form = sum(np.outer(one, one) for one in (maker @ each @ row for each in own))
         assert freedom[i] == pytest.approx(np.trace(form) ** 2 / np.sum(form * form), rel=1e-9)
+
+
+def two_outputs(count: int, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
+    """Rows of two parameters that move slowly, and I⁻¹."""
+    time = np.linspace(0.0, 1.0, count)
+    rows = rng.standard_normal((2, 2)) + np.exp(-3.0 * time)[:, None, None] * np.array(
+        [[1.0, -2.0], [0.5, 1.0]]
+    )
+    flat = rows.reshape(-1, 2)
+    return rows, np.linalg.inv(flat.T @ flat)
+
+
+def test_uncorrelated_residuals_are_all_cosines_and_their_freedom_is_that_of_the_quadratic_form():
+    rng = np.random.default_rng(0)
+    count = 40
+    rows, inverse = two_outputs(count, rng)
+    flat = rows.reshape(-1, 2)
+    maker = np.eye(2 * count) - flat @ inverse @ flat.T
+    error = (maker @ rng.standard_normal(2 * count)).reshape(count, 2)
+    scores = np.einsum("tj,tjk->tk", error, rows)
+    covariance, freedom = uncorrelated(scores, rows, inverse)
+
+    # The same by definition: residuals maker @ noise, scores of each sample, corrected by G.
+    values, vectors = np.linalg.eigh(inverse)
+    half = vectors * np.sqrt(values) @ vectors.T
+    maps = np.stack([half @ rows[t].T @ maker[2 * t : 2 * t + 2] for t in range(count)])
+    expected = np.einsum("tki,tli->kl", maps, maps)
+    scaled = np.einsum("tk,tl->kl", scores @ half, scores @ half)
+    values, vectors = np.linalg.eigh(expected)
+    root = vectors / np.sqrt(values) @ vectors.T
+    moved = half @ root
+    np.testing.assert_allclose(covariance, moved @ scaled @ moved.T, rtol=1e-9)
+    for i in range(2):
+        forms = np.einsum("k,tki->ti", moved[i], maps)
+        kappa = np.linalg.eigvalsh(forms @ forms.T)
+        np.testing.assert_allclose(freedom[i], np.sum(kappa) ** 2 / np.sum(kappa**2), rtol=1e-9)
+
+
+@pytest.mark.parametrize(("a", "least"), [(0.0, 0.95), (0.3, 0.92)])
+def test_few_samples_are_covered_and_white_ones_with_steady_errors(a: float, least: float):
+    rng = np.random.default_rng(0)
+    flat, inverse = few_rows(rng)
+    held, errors = [], []
+    for _ in range(TRIALS):
+        noise = ar1(a, 62, rng)
+        estimate = inverse @ flat.T @ noise
+        residual = noise - flat @ estimate
+        covariance, freedom = of_estimate(flat, inverse, residual)
+        errors.append(np.sqrt(np.diagonal(covariance)))
+        held.append(np.abs(estimate) < student(0.95, freedom) * errors[-1])
+    assert np.min(np.mean(held, axis=0)) > least - 3 * SIGMA
+    scatter = np.std(errors, axis=0) / np.mean(errors, axis=0)
+    if a == 0.0:  # of `long_run` alone they scatter by half
+        assert np.max(scatter) < 0.4
+
+
+def few_rows(rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
+    """62 rows of two parameters that decay and rise, and I⁻¹."""
+    rows = two_outputs(31, rng)[0][:, 0]
+    flat = np.concatenate([rows, rows[::-1]])
+    return flat, np.linalg.inv(flat.T @ flat)
+
+
+def of_estimate(
+    flat: np.ndarray, inverse: np.ndarray, residual: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    scores = residual[:, None] * flat
+    return covariance_of_estimate(scores, flat[:, None], inverse, [len(flat)], [residual])
+
+
+def is_robust(flat: np.ndarray, inverse: np.ndarray, residual: np.ndarray) -> bool:
+    """Whether the answer is that of `long_run`."""
+    robust = long_run(residual[:, None] * flat, flat[:, None], inverse)
+    return np.allclose(of_estimate(flat, inverse, residual)[0], robust[0])
+
+
+def test_noise_that_is_far_from_white_is_not_taken_for_white():
+    rng = np.random.default_rng(0)
+    flat, inverse = few_rows(rng)
+    for _ in range(50):
+        noise = ar1(0.9, 62, rng)
+        assert is_robust(flat, inverse, noise - flat @ (inverse @ flat.T @ noise))
+
+
+def test_a_slow_rest_below_what_a_portmanteau_test_sees_is_not_taken_for_white():
+    rng = np.random.default_rng(0)
+    flat, inverse = np.ones((1500, 1)), np.array([[1.0 / 1500]])
+    slow, tests = 0.2 * np.cos(np.pi * np.arange(1500) / 300), []
+    for _ in range(20):
+        residual = rng.standard_normal(1500) + slow
+        residual -= np.mean(residual)
+        tests.append(ljung_box([residual])[1])
+        assert is_robust(flat, inverse, residual)
+    assert np.max(tests) > 0.2
