@@ -42,6 +42,7 @@ from eoi_jax.discovery.judge import (
     least_error_ratio,
     mean_error,
     only_otherwise,
+    ratio_beyond_noise,
 )
 from eoi_jax.discovery.probability import Contest
 from eoi_jax.discovery.refit import not_simulated
@@ -443,8 +444,8 @@ def long_run_ratio(answer: FreeRunAnswer) -> float:
 
     Short runs start anew so often that effects may hardly change them: what they miss by is noise,
     and cannot fall. Long runs are then asked, on the records that judge and on those of the fit,
-    and the larger ratio counts. Infinite where effects could lower the errors of short runs enough
-    to be confirmed, or where these grow.
+    and the larger ratio counts, of what exceeds the noise of the sensors. Infinite where effects
+    could lower the errors of short runs enough to be confirmed, or where these grow.
     """
     best, base = answer.best.runs, answer.base.runs
     assert best[1] is not None
@@ -455,7 +456,7 @@ def long_run_ratio(answer: FreeRunAnswer) -> float:
     if tells or grows or judge is None:
         return np.inf
     fits = [judge.runs(model.refinement.plant)[0] for model in (answer.best, answer.base)]
-    return max(error_ratio(best[0], base[0]), error_ratio(fits[0], fits[1]))
+    return max(ratio_beyond_noise(best[0], base[0]), ratio_beyond_noise(fits[0], fits[1]))
 
 
 def contradicted_by_fit(answer: FreeRunAnswer) -> bool:

@@ -463,8 +463,8 @@ _REPLACED = (
 )
 _LONG_RUNS = (
     "in short runs the predictions with and without it hardly differ: long runs decide, whose "
-    "errors have {:.3g} of those of the refined declared model or less, also on the records of "
-    "the fit"
+    "errors beyond the noise have {:.3g} of those of the refined declared model or less, also on "
+    "the records of the fit"
 )
 _EXCHANGED = (
     "the other way about, fitted to the held-out records and judged on those of the fit, errors "

@@ -18,7 +18,7 @@ from eoi_jax.models.augmented import Placed
 from eoi_jax.models.plant import Plant
 from eoi_jax.refinement.result import Refinement
 from eoi_jax.simulation.error_growth import window_head
-from eoi_jax.simulation.sensor_noise import sensor_noise
+from eoi_jax.simulation.sensor_noise import sensor_noise, shows_noise
 from eoi_jax.simulation.validate import FreeRuns, Validation, growth_that_rules, judged_runs
 
 _RULES = RULES.judge
@@ -221,6 +221,18 @@ def mean_error(runs: FreeRuns) -> float:
 def error_ratio(trial: Validation, rival: Validation) -> float:
     """The error of a model over that of another one on the same runs, geometric mean of outputs."""
     return float(np.exp(mean_error((trial, None)) - mean_error((rival, None))))
+
+
+def ratio_beyond_noise(trial: Validation, rival: Validation) -> float:
+    """`error_ratio` of what exceeds the noise of the sensors, where the samples show that noise.
+
+    Errors E of a model are its own errors and, independent of them, the noise: E² less σ² is the
+    square of the former, told down to the share of σ² to which that is known.
+    """
+    noise = np.where(shows_noise(trial), sensor_noise(trial, rival), 0.0) ** 2
+    least, largest = _RULES.noise_known * noise + np.finfo(float).tiny, np.finfo(float).max
+    squares = [np.clip(run.rmse**2 - noise, least, largest) for run in (trial, rival)]
+    return float(np.exp(0.5 * np.mean(np.log(squares[0]) - np.log(squares[1]))))
 
 
 def least_error_ratio(trial: Validation, rival: Validation) -> float:

@@ -255,6 +255,7 @@ class JudgeRules:
     min_fall: float = 0.03
     min_deviations: float = 2.0  # of the paired difference over blocks, in its standard errors
     same_error: float = 0.01  # difference of mean errors that counts as none
+    noise_known: float = 0.03  # error of the square of the noise that samples show, over it
     blocks: int = 10  # of each record, whose errors are compared in pairs
     # Windows of a record: as many as leave motion in them. Set with car_coast_down in view.
     windows: tuple[int, ...] = (10, 5, 3)

@@ -11,7 +11,13 @@ import eoi_jax as eoi
 from eoi_jax import effects
 from eoi_jax.discovery import in_free_runs
 from eoi_jax.discovery.free_run_search import long_run_ratio, search_free_runs
-from eoi_jax.discovery.judge import Judge, Judged, error_ratio, least_error_ratio
+from eoi_jax.discovery.judge import (
+    Judge,
+    Judged,
+    error_ratio,
+    least_error_ratio,
+    ratio_beyond_noise,
+)
 from eoi_jax.models.augmented import place
 from eoi_jax.models.placements import placements
 from eoi_jax.refinement.refine import refine_once
@@ -65,7 +71,7 @@ def test_long_runs_decide_where_short_ones_miss_by_noise(answer):
     long_runs, windows = zip(answer.best.runs, answer.base.runs, strict=True)
     assert least_error_ratio(*windows) > 2.0 / 3.0
     assert np.exp(answer.best.error - answer.base.error) > 2.0 / 3.0
-    assert error_ratio(*long_runs) <= long_run_ratio(answer) < 2.0 / 3.0
+    assert ratio_beyond_noise(*long_runs) <= long_run_ratio(answer) < 2.0 / 3.0
 
 
 @pytest.mark.parametrize(("long_ratio", "effects_named"), [(0.6, ("coulomb_friction",)), (0.7, ())])
@@ -99,6 +105,31 @@ def test_what_an_error_falls_to_if_the_other_model_is_true():
     assert error_ratio(*runs) < 0.8
     assert least_error_ratio(*runs) == pytest.approx(error_ratio(*runs), abs=0.05)
     assert least_error_ratio(runs[1], runs[1]) == 1.0
+
+
+def test_what_exceeds_the_noise_is_what_records_without_noise_show():
+    """A model with half of the error of another one: beside the noise the ratio is near one."""
+    exact = PENDULUM.with_parameters({"stiffness": 40.0, "damping": 0.25})
+    models = [exact.with_parameters({"damping": 0.25 * factor}) for factor in (1.1, 1.2)]
+    noisy, clean = (
+        [judged_runs(plant, (released(2, 15.0, 0.0, noise, 2000),), 50) for plant in models]
+        for noise in (NOISE, 0.0)
+    )
+    assert error_ratio(*clean) < 0.6
+    assert error_ratio(*noisy) > 0.85
+    assert ratio_beyond_noise(*noisy) == pytest.approx(error_ratio(*clean), rel=0.15)
+    assert ratio_beyond_noise(*clean) == pytest.approx(error_ratio(*clean), rel=1e-3)
+    true = judged_runs(exact, noisy[0].records, 50)
+    assert ratio_beyond_noise(true, true) == 1.0
+
+
+@pytest.mark.slow
+def test_an_effect_that_is_all_that_noise_leaves_to_be_seen_is_an_answer():
+    """With the friction the errors are noise, which those without it exceed by a sixth."""
+    found = searched(20.0, 1.0)
+    assert [placed.effect.name for placed in found.best.placed] == ["coulomb_friction"]
+    assert error_ratio(found.best.runs[0], found.base.runs[0]) > 2.0 / 3.0
+    assert long_run_ratio(found) < 2.0 / 3.0
 
 
 # -- the start of a run -----------------------------------------------------------------------
