@@ -1,9 +1,9 @@
 """Do 95 % intervals hold the truth in 95 of 100 experiments? Five plants, 500 seeds.
 
-Two kinds of coloured residuals: measurement noise that is AR(1), and beside it a small random force
-(a pump that wanders, for the tank) of which the model knows nothing. Each seed draws both anew; the
-excitation is the same for all. Records come from `independent.py`, and from a plain fixed-step loop
-over all seeds at once where that would take hours.
+Two kinds of coloured residuals, measurement noise that is AR(1), and beside it a small random force
+(a pump that wanders, for the tank) of which the model knows nothing; and white noise. Each seed
+draws them anew; the excitation is the same for all. Records come from `independent.py`, and from a
+plain fixed-step loop over all seeds at once where that would take hours.
 
 python benchmarks/statistics/interval_coverage.py [--quick] [--write]
 """
@@ -30,7 +30,7 @@ SAMPLES = 1500  # a dozen decay times of the pendulum and of the three masses, n
 AUTOREGRESSION = 0.9  # of the noise, from sample to sample
 NOISE = 1e-3  # its standard deviation over that of each output
 FORCE = 5e-3  # standard deviation of the undeclared force over that of the input
-KINDS = ("noise", "noise and force")
+KINDS = ("noise", "noise and force", "white noise")
 METHODS = ("identify", "refine")
 Simulate = Callable[[dict[str, float], np.ndarray, np.ndarray], np.ndarray]
 
@@ -159,17 +159,18 @@ def records(case: Case, kind: str, seeds: range, samples: int) -> list[eoi.Recor
         levels = np.stack([draw.standard_normal(-(-samples // held)) for draw in draws])
         forces = FORCE * np.std(u) * np.repeat(levels, held, axis=1)[:, :samples]
     clean = case.simulate(case.plant.parameters, time, u + forces)
+    a = 0.0 if kind == "white noise" else AUTOREGRESSION
     y = np.broadcast_to(clean, (len(draws), *clean.shape[1:]))
     size = NOISE * np.std(clean[0], axis=0)
     return [
-        eoi.Record(time, u, one + size * coloured(draw, one.shape), f"seed {seed}", hold="zero")
+        eoi.Record(time, u, one + size * coloured(draw, one.shape, a), f"seed {seed}", hold="zero")
         for seed, draw, one in zip(seeds, draws, y, strict=True)
     ]
 
 
-def coloured(draw: np.random.Generator, shape: tuple[int, ...]) -> np.ndarray:
-    """AR(1) noise of standard deviation one, in its steady state."""
-    a, settle = AUTOREGRESSION, 200
+def coloured(draw: np.random.Generator, shape: tuple[int, ...], a: float) -> np.ndarray:
+    """AR(1) noise of standard deviation one, in its steady state; white for a = 0."""
+    settle = 200
     white = np.sqrt(1.0 - a**2) * draw.standard_normal((shape[0] + settle, *shape[1:]))
     return np.asarray(lfilter([1.0], [1.0, -a], white, axis=0))[settle:]
 

@@ -44,8 +44,8 @@ def test_the_plain_loop_agrees_with_an_event_driven_simulator():
     assert np.ptp(truth) > 0.3
 
 
-def test_noise_is_coloured_and_of_unit_size():
-    noise = interval_coverage.coloured(np.random.default_rng(0), (100_000, 1))[:, 0]
+@pytest.mark.parametrize("a", [0.0, interval_coverage.AUTOREGRESSION])
+def test_noise_is_coloured_and_of_unit_size(a: float):
+    noise = interval_coverage.coloured(np.random.default_rng(0), (100_000, 1), a)[:, 0]
     assert np.std(noise) == pytest.approx(1.0, rel=0.05)
-    lagged = np.mean(noise[1:] * noise[:-1])
-    assert lagged == pytest.approx(interval_coverage.AUTOREGRESSION, rel=0.05)
+    assert np.mean(noise[1:] * noise[:-1]) == pytest.approx(a, abs=0.05)
