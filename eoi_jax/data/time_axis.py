@@ -172,6 +172,8 @@ def _unit(
     if program:
         return 86400.0, f"its size is that of the dates of {program}, in days"
     whole_numbers = bool(np.all(values == np.rint(values)))
+    if whole_numbers and step > 0 and step % 60.0 == 0:
+        return 1.0, f"whole numbers {step / 60.0:g} minutes apart are taken as seconds"
     if whole_numbers and step >= 1000.0:
         return 1e-6, f"whole numbers {step:g} apart are taken as µs, which is a guess"
     if whole_numbers and step > 1.0:

@@ -76,6 +76,14 @@ def test_time_and_its_unit_are_found(tmp_path, name, stamps, factor):
     assert found.clock.sample_period == pytest.approx(H, rel=1e-3)
 
 
+@pytest.mark.parametrize("minutes", [1, 15, 60])
+def test_whole_minutes_are_minutes_and_neither_ms_nor_µs(tmp_path, minutes):
+    stamps = 60 * minutes * np.arange(N)
+    found = inspect(written(tmp_path / "run.csv", t=stamps, u=U, y=Y))
+    assert found.clock.factor == 1.0
+    assert f"{minutes} minutes apart are taken as seconds" in found.clock.why
+
+
 def test_dates_are_time_before_a_number_that_grows(tmp_path):
     stamps = pd.Timestamp("2024-05-01") + pd.to_timedelta(T, unit="s")
     found = inspect(written(tmp_path / "run.csv", count=np.arange(N), when=stamps, y=Y))
