@@ -106,6 +106,7 @@ _IN_FREE_RUNS = {
     "outside:input_times_position": "product",
     "outside:input_times_velocity": "product",
     "outside:van_der_pol": "displacement_damping",
+    "outside:second_resonance": "second_mass",  # damped in its bearing
 }
 # Effects that the library does not have, or does not try at first.
 OUTSIDE: dict[str, tuple[tuple[str, ...], ...]] = {

@@ -100,9 +100,10 @@ def wider() -> tuple[AbstractEffect, ...]:
     """Effects that `discover` tries in free runs alone, where nothing else is an answer.
 
     Products of signals, damping with the square of the displacement, dry friction of a motion of
-    which the output is the speed, a second mass, a second store, a loss with a power of the output,
-    one that saturates, radiation, a yield law, a limited control error, a response to the rate of
-    the input, a lag of the sensor, cells in series (two; a fit goes on to 3, 6 and 12).
+    which the output is the speed, a second mass (damped in the spring, in its bearing), a second
+    store, a loss with a power of the output, one that saturates, radiation, a yield law, a limited
+    control error, a response to the rate of the input, a lag of the sensor, cells in series (two; a
+    fit goes on to 3, 6 and 12).
 
     Returns:
         One object of each form.
@@ -118,6 +119,7 @@ def wider() -> tuple[AbstractEffect, ...]:
         DisplacementDamping(),
         RateFriction(),
         SecondMass(),
+        SecondMass(in_bearing=True),
         SecondNode(),
         PowerLoss(),
         SaturatingLoss(),

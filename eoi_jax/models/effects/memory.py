@@ -1,5 +1,6 @@
 """Forces with memory."""
 
+from dataclasses import dataclass
 from typing import Any
 
 import jax.numpy as jnp
@@ -115,6 +116,7 @@ class Relaxation(AbstractTerm):
         return -gain[0] * at.z[0]
 
 
+@dataclass(frozen=True)
 class SecondMass(AbstractTerm):
     r"""A mass that is not measured, behind a spring with damping: r (ω² w + c (p - v)).
 
@@ -122,6 +124,12 @@ class SecondMass(AbstractTerm):
     the speed of the mass, dw/dt = p - v, dp/dt = -ω² w - c (p - v), and r its inertia over that of
     the measured one. ω is its frequency where that is held; left free, both swing with ω √(1 + r).
     At rest at the start of a record.
+
+    Or the damping is that of a bearing of the mass, which takes its force from the ground: the
+    force is r ω² w, and dp/dt = -ω² w - c p.
+
+    Attributes:
+        in_bearing: whether it is the second form.
     """
 
     name = "second_mass"
@@ -132,6 +140,13 @@ class SecondMass(AbstractTerm):
     states = 2
     depends_on = "y"
     only_in_free_runs = True
+
+    in_bearing: bool = False
+
+    @property
+    def form(self) -> str:
+        """Where the damping acts."""
+        return "damped in its bearing" if self.in_bearing else "damped in the spring"
 
     def fits(self, plant: Plant, output: int) -> bool:
         # In free motion its modes are fewer than its parameters and those of the plant.
@@ -147,23 +162,26 @@ class SecondMass(AbstractTerm):
         return np.stack([pairs[0], pairs[0] * pairs[1]], axis=-1).reshape(-1, 2)
 
     def rate(self, at: At, shape: Any) -> Any:
-        stretch, relative = at.z[0], at.z[1] - at.v
-        return jnp.stack([relative, -(shape[0] ** 2) * stretch - shape[1] * relative])
+        relative = at.z[1] - at.v
+        damped = at.z[1] if self.in_bearing else relative
+        return jnp.stack([relative, -(shape[0] ** 2) * at.z[0] - shape[1] * damped])
 
     def term(self, at: At, gain: Any, shape: Any) -> Any:
-        return gain[0] * (shape[0] ** 2 * at.z[0] + shape[1] * (at.z[1] - at.v))
+        force = shape[0] ** 2 * at.z[0]
+        return gain[0] * (force if self.in_bearing else force + shape[1] * (at.z[1] - at.v))
 
     def states_along(
         self, y: Float[np.ndarray, "runs S 3"], period: float, shape: np.ndarray
     ) -> Float[np.ndarray, "2 runs S 3"]:
-        # Exact for y that is straight in each half sample: (w, p - v) decays freely in it. The mass
-        # moves with the measured one at first.
+        # Exact for y that is straight in each half sample: (w, p) decays freely in it, to p = v and
+        # the stretch that pulls it through its bearing. It moves with the measured one at first.
         from scipy.linalg import expm  # only discovery needs it
 
         nodes = np.concatenate([y[..., :2].reshape(len(y), -1), y[:, -1:, 2]], axis=1)
         speeds = np.diff(nodes, axis=1).T / (0.5 * period)
         decay = expm(0.5 * period * np.array([[0.0, 1.0], [-(shape[0] ** 2), -shape[1]]]))
         start = np.stack([np.zeros(len(y)), speeds[0]])
-        along = states(decay, (np.eye(2) - decay)[:, 1], speeds, start)
+        goal = np.array([-shape[1] / shape[0] ** 2 if self.in_bearing else 0.0, 1.0])
+        along = states(decay, goal - decay @ goal, speeds, start)
         along = np.concatenate([start[None], along])
         return np.stack([along[:-2:2], along[1::2], along[2::2]]).transpose(2, 3, 1, 0)

@@ -75,6 +75,7 @@ CLOSED: dict[AbstractEffect, Callable[..., Any]] = {
     effects.SecondMass(): lambda t, y, v, u, z, g, s: (
         g[0] * (s[0] * s[0] * z[0] + s[1] * (z[1] - v))
     ),
+    effects.SecondMass(in_bearing=True): lambda t, y, v, u, z, g, s: g[0] * s[0] * s[0] * z[0],
     effects.SecondNode(): lambda t, y, v, u, z, g, s: g[0] * z[0],
     effects.Product("u", "y"): lambda t, y, v, u, z, g, s: g[0] * u * y,
     effects.Product("u", "v"): lambda t, y, v, u, z, g, s: g[0] * u * v,
