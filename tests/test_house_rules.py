@@ -3,6 +3,7 @@
 import ast
 import builtins
 import dis
+import functools
 import importlib
 import inspect
 import pkgutil
@@ -42,6 +43,28 @@ RANK = {name: i for i, name in enumerate(ROOMS)}
 ALIASES = {"comparators", "effects", "engines", "observers", "plants"}
 
 
+@functools.cache
+def parsed(path):
+    """The syntax tree of a file."""
+    return ast.parse(path.read_text())
+
+
+def of_each_file(rule):
+    """A rule of files as one test, which says of each file that breaks it where."""
+
+    def test():
+        broken = {}
+        for path in FILES:
+            try:
+                rule(path)
+            except AssertionError as error:
+                broken[str(path.relative_to(PACKAGE))] = str(error)
+        assert not broken, "\n".join(f"{name}: {why}" for name, why in broken.items())
+
+    test.__name__, test.__doc__ = rule.__name__, rule.__doc__
+    return test
+
+
 def global_names(code):
     """Names that a module's functions read from it."""
     for instruction in dis.get_instructions(code):
@@ -52,7 +75,7 @@ def global_names(code):
             yield from global_names(part)
 
 
-@pytest.mark.parametrize("path", FILES, ids=lambda path: str(path.relative_to(PACKAGE)))
+@of_each_file
 def test_every_name_exists(path):
     """The linters are told not to look: names of axes would be undefined to them."""
     parts = path.relative_to(PACKAGE.parent).with_suffix("").parts
@@ -78,13 +101,13 @@ def part_of(path):
     return relative.parts[0].removesuffix(".py")
 
 
-@pytest.mark.parametrize("path", FILES, ids=lambda path: str(path.relative_to(PACKAGE)))
+@of_each_file
 def test_imports_point_down_only(path):
     part = part_of(path)
     if part in {"__init__", *ALIASES}:
         return
     assert part in RANK or part.startswith("_"), f"{part} is no room"
-    for name in own_imports(ast.parse(path.read_text())):
+    for name in own_imports(parsed(path)):
         other = name.split(".")[0]
         if not other.startswith("_"):
             assert RANK[other] >= RANK.get(part, len(ROOMS)), f"{part} imports from {other}"
@@ -99,7 +122,7 @@ def test_no_two_modules_import_each_other():
     del modules["__init__"]
     needs = {}
     for name, path in modules.items():
-        found = own_imports(ast.parse(path.read_text()))
+        found = own_imports(parsed(path))
         whole = {one if one in modules else one.rpartition(".")[0] for one in found}
         needs[name] = {one for one in whole if one in modules and one != name}
     while needs:
@@ -109,18 +132,16 @@ def test_no_two_modules_import_each_other():
             del needs[name]
 
 
-@pytest.mark.parametrize("path", FILES, ids=lambda path: path.name)
+@of_each_file
 def test_annotations_stay_objects(path):
     """`from __future__ import annotations` would switch the run-time shape checks off."""
-    imported = [
-        node for node in ast.walk(ast.parse(path.read_text())) if isinstance(node, ast.ImportFrom)
-    ]
+    imported = [node for node in ast.walk(parsed(path)) if isinstance(node, ast.ImportFrom)]
     assert not [node for node in imported if node.module == "__future__"]
 
 
-@pytest.mark.parametrize("path", FILES, ids=lambda path: path.name)
+@of_each_file
 def test_the_library_does_not_print(path):
-    calls = [node for node in ast.walk(ast.parse(path.read_text())) if isinstance(node, ast.Call)]
+    calls = [node for node in ast.walk(parsed(path)) if isinstance(node, ast.Call)]
     assert not [
         call for call in calls if isinstance(call.func, ast.Name) and call.func.id == "print"
     ]
@@ -138,10 +159,10 @@ def docstring_lines(node):
     return total
 
 
-@pytest.mark.parametrize("path", FILES, ids=lambda path: path.name)
+@of_each_file
 def test_modules_and_functions_are_short(path):
     text = path.read_text()
-    tree = ast.parse(text)
+    tree = parsed(path)
     assert len(text.splitlines()) - docstring_lines(tree) <= 500
     for node in ast.walk(tree):
         if isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef):
@@ -149,9 +170,9 @@ def test_modules_and_functions_are_short(path):
             assert size <= 60, f"{node.name}: {size} lines"
 
 
-@pytest.mark.parametrize("path", FILES, ids=lambda path: path.name)
+@of_each_file
 def test_there_are_no_option_dicts(path):
-    for node in ast.walk(ast.parse(path.read_text())):
+    for node in ast.walk(parsed(path)):
         if isinstance(node, ast.FunctionDef) and not node.name.startswith("check_"):
             if any("wraps" in ast.unparse(one) for one in node.decorator_list):
                 continue  # it takes what the function does that it stands for
@@ -276,9 +297,9 @@ IN_FUNCTIONS = {
 }
 
 
-@pytest.mark.parametrize("path", FILES, ids=lambda path: str(path.relative_to(PACKAGE)))
+@of_each_file
 def test_imports_stand_at_the_top(path):
-    for function in ast.walk(ast.parse(path.read_text())):
+    for function in ast.walk(parsed(path)):
         if not isinstance(function, ast.FunctionDef | ast.AsyncFunctionDef):
             continue
         for node in ast.walk(function):
@@ -315,7 +336,7 @@ def test_numbers_that_decide_are_fields_or_arguments():
     for path in FILES:
         if path.is_relative_to(PACKAGE / "discovery"):
             continue
-        for node in ast.parse(path.read_text()).body:
+        for node in parsed(path).body:
             if not isinstance(node, ast.Assign | ast.AnnAssign) or not _is_number(node.value):
                 continue
             targets = node.targets if isinstance(node, ast.Assign) else [node.target]
@@ -397,7 +418,7 @@ def test_names_say_what_a_thing_is():
     """Fewer than one use in two hundred is a function word."""
     uses, words = 0, Counter()
     for path in FILES:
-        for name, allowed in identifiers(ast.parse(path.read_text())):
+        for name, allowed in identifiers(parsed(path)):
             uses += 1
             word = name.strip("_").lower()
             if word in FUNCTION_WORDS and name not in allowed and name != "__all__":

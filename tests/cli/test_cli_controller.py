@@ -109,6 +109,7 @@ def near_truth(result: dict) -> None:
         assert error < 2e-3 * value
 
 
+@pytest.mark.slow
 def test_an_identification_is_judged_in_the_loop(tmp_path: Path):
     done = run("identify", written(tmp_path, ('hold = "zero"\n', "")), "--json")
     assert done.exit_code == 0, done.output

@@ -244,6 +244,7 @@ def test_effect_outside_those_that_are_asked_for_is_unexplained():
     assert answer.plant.names == MASS.names
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("law", "nearly"), [(swaying, "sinusoidal_disturbance"), (position_gain, "constant_offset")]
 )
@@ -694,6 +695,7 @@ def test_what_a_bound_takes_away_is_not_explained():
     assert alone.explained == pytest.approx(1.0 - after / before, abs=0.02)
 
 
+@pytest.mark.slow
 def test_a_model_that_a_bound_keeps_from_the_records_lacks_something():
     plant = MASS.declared_anew({"k": 15.0}, bounds={"k": (10.0, 16.0)})
     fit, held = records("nothing")

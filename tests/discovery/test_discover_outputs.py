@@ -143,6 +143,7 @@ def test_an_offset_of_an_accelerometer_is_found(plant, outputs, name):
     np.testing.assert_allclose(found.plant.parameters[name], 0.3, rtol=0.02)
 
 
+@pytest.mark.slow
 def test_a_pair_that_the_cell_lacks_is_found():
     """Open-circuit voltage and drop are declared, the relaxation of the RC pair is not."""
     plant = Plant(

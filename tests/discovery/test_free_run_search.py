@@ -210,6 +210,7 @@ def shaken(seed, count=300, amplitude=9.0, samples=8):
     return part.with_outputs(part.outputs + swing[:, None], part.name)
 
 
+@pytest.mark.slow
 def test_an_effect_that_disturbed_records_hardly_confirm_is_judged_the_other_way_about():
     """Held-out errors are those of the disturbance; fitted to them, the store predicts the rest."""
     found = eoi.discover(PLATE, measured(1), shaken(2), [effects.SecondNode()])
@@ -222,6 +223,7 @@ def test_an_effect_that_disturbed_records_hardly_confirm_is_judged_the_other_way
     assert found.windows_after.rmse[0] > 0.7 * found.windows_before.rmse[0]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("ratio", [0.5, 0.7, 1.2])
 def test_an_effect_stays_a_lead_where_neither_part_confirms_it(monkeypatch, ratio):
     """√(0.78 ratio) is below two thirds for the first one alone."""
@@ -334,6 +336,7 @@ def test_an_effect_that_stood_in_for_a_new_one_goes_when_nothing_tells_its_size_
     assert with_effect(search, effects.InputSaturation(), stored, [7.0]) is None
 
 
+@pytest.mark.slow
 def test_the_hold_is_chosen_again_for_the_answer():
     """Held inputs, taken as going on between samples: the store is found, and then the hold."""
     linear, zero = begun("linear"), begun("zero")
@@ -397,6 +400,7 @@ def test_windows_are_as_short_as_leaves_motion_in_them(noise, windows):
     assert judge.head == min(50, 100 // windows)
 
 
+@pytest.mark.slow
 def test_a_base_that_is_lost_over_whole_records_is_judged_in_windows():
     """An integrator that something unknown drives, too: no parameter keeps it near the record."""
     time = 0.1 * np.arange(600)
@@ -414,6 +418,7 @@ def test_a_base_that_is_lost_over_whole_records_is_judged_in_windows():
     assert whole.base.runs[0].window is None
 
 
+@pytest.mark.slow
 def test_whole_records_of_a_plant_that_returns_show_what_is_missing_however_large_it_is():
     """The held-out record hardly moves: a level that is off exceeds its spread."""
     time = 0.5 * np.arange(400)

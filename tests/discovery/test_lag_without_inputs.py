@@ -34,6 +34,7 @@ def swing(position: float, velocity: float, seed: int) -> eoi.Record:
     return eoi.Record.from_period(PERIOD, np.zeros((len(time), 0)), (run.y[0] + noise)[:, None])
 
 
+@pytest.mark.slow
 def test_a_spring_that_relaxes_is_no_lag_of_the_sensor():
     """A sensor that lags would fit to the noise: its lag is but a third pole."""
     found = eoi.discover(SPRING, swing(150.0, 0.0, 1), validation=swing(-130.0, 1500.0, 2))

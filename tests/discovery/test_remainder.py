@@ -126,6 +126,7 @@ def test_offsets_of_records_that_are_alike_do_not_differ():
     assert powered.deviation > 20.0
 
 
+@pytest.mark.slow
 def test_outputs_that_stay_at_an_end_of_their_range_are_told():
     day = warmed(18.0, 7)
     ceiling = np.quantile(day.outputs, 0.9)

@@ -169,6 +169,7 @@ def test_every_function_of_the_given_plant_is_restored_in_its_place(drawn, tmp_p
     np.testing.assert_array_equal(before, after)
 
 
+@pytest.mark.slow
 def test_functions_inside_an_augmented_plant_are_restored_too(drawn, tmp_path):
     placed = (
         place(WHOLE, eoi.effects.CoulombFriction(), 0),

@@ -273,6 +273,7 @@ def test_explicit_form_covers_the_injection_that_it_was_made_for(
     np.testing.assert_allclose(observer.c3, 2.0 * largest)
 
 
+@pytest.mark.slow
 def test_explicit_form_of_outputs_of_different_degree(clean: eoi.Record):
     def dynamics(t, x, u, p):
         return jnp.stack([-p.k * x.y[0, 0] - 6.0 * x.y[1, 0] + p.g * u[0], -p.a * x.y[0, 1]])

@@ -80,6 +80,7 @@ def test_the_estimate_is_that_of_refine(records):
     assert max(near.values()) < solver_tolerance(records), near
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("start", "bounds"),
     [

@@ -83,6 +83,7 @@ def test_a_dask_cluster_that_loses_a_worker_gives_the_same_numbers(local, tmp_pa
     same(result, local)
 
 
+@pytest.mark.slow
 def test_processes_of_the_standard_library_give_the_same_numbers(local):
     with ProcessPoolExecutor(2, mp_context=get_context("spawn")) as executor:
         same(eoi.sweep(**settings(), executor=executor), local)
