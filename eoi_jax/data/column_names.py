@@ -8,6 +8,10 @@ _INPUT = frozenset((
     "control", "throttle", "pump", "valve", "heater", "power", "demand", "ctrl", "act",
     "actuator", "current", "v", "vir", "steer", "excitation",
 ))  # fmt: skip
+# Those that a plant without input has as its output: of a capacitor, a muscle, a solar cell.
+_EITHER = frozenset((
+    "volt", "volts", "voltage", "v", "current", "force", "torque", "tau", "power",
+))  # fmt: skip
 _OUTPUT = frozenset((
     "y", "out", "output", "outputs", "angle", "angulo", "winkel", "pos", "position", "theta",
     "phi", "alpha", "q", "qm", "x", "level", "height", "h", "speed", "vel", "velocity", "rate",
@@ -58,6 +62,18 @@ def _words(name: str) -> list[str]:
     return [word.lower() for word in re.findall(r"[A-Z]?[a-zµ]+|[A-Z]+", stem(name))]
 
 
+def _may_answer(name: str) -> bool:
+    """Whether a plant without input may have a signal of this name as its output."""
+    quantity = any(word in _EITHER for word in _words(name)) and not _is_sent(name)
+    return quantity or role_of_name(name) != "input"
+
+
+def _is_sent(name: str) -> bool:
+    """Whether a name stands for what is sent, set or around: no answer of a plant."""
+    sent = _REFERENCES | _COMMANDS | _SURROUNDINGS
+    return any(word in sent or word.endswith(_ENDINGS) for word in _words(name))
+
+
 def role_of_name(name: str) -> str:
     """The role that a name stands for: what is sent, set or around, else by its first known word.
 
@@ -67,11 +83,9 @@ def role_of_name(name: str) -> str:
     Returns:
         ``"input"``, ``"output"``, or nothing.
     """
-    words = _words(name)
-    sent = _REFERENCES | _COMMANDS | _SURROUNDINGS
-    if any(word in sent or word.endswith(_ENDINGS) for word in words):
+    if _is_sent(name):
         return "input"
-    for word in words:
+    for word in _words(name):
         port = _PORT.fullmatch(word)
         if port:
             return f"{port[1]}put"
@@ -94,7 +108,7 @@ def separate_references(roles: dict[str, tuple[str, str]], held: set[str]) -> No
         inputs = [key for key in inputs if key not in references]
     if any(role == "output" for role, _ in roles.values()):
         return
-    if len(inputs) == len(roles) == 1 and role_of_name(inputs[0]) != "input":
+    if len(inputs) == len(roles) == 1 and _may_answer(inputs[0]):
         roles[inputs[0]] = ("output", "there must be one, and it is the only column")
     elif len(inputs) > 1:
         moving = [key for key in inputs if key not in held] or inputs

@@ -32,6 +32,7 @@ class GridSettings:
     max_growth: float = 10.0  # points of the grid for each stamp; with more, the pauses dominate
     scatter: float = 4.0  # long over short spacings, from which on there is no usual one
     most_points: int = 20_000  # of a grid that has every stamp though they have no usual spacing
+    moved: float = 0.02  # of the smallest spacing, by which a stamp of such a grid may be rounded
 
 
 _SETTINGS = GridSettings()
@@ -500,17 +501,20 @@ def _scattered_grid(stamps: TimeAxis) -> Grid | None:
     short, long = np.quantile(np.diff(stamps), [0.1, 0.9])
     if long < _SETTINGS.scatter * short:
         return None
-    elapsed = stamps - stamps[0]
-    unit = _resolution(elapsed, 10.0 * float(np.diff(stamps).min()))
+    elapsed, smallest = stamps - stamps[0], float(np.diff(stamps).min())
+    unit = _resolution(elapsed, 10.0 * smallest)
     if unit == 0.0:
-        return None
+        unit = 2.0 * _SETTINGS.moved * smallest
+        if elapsed[-1] >= _SETTINGS.most_points * unit:
+            return None
     ticks = np.rint(elapsed / unit).astype(np.int64)
     divisor = int(np.gcd.reduce(ticks))
     index, step = ticks // divisor, divisor * unit
     if index[-1] >= _SETTINGS.most_points:
         return None
     time = float(stamps[0]) + step * np.arange(int(index[-1]) + 1)
-    return Grid(time, step, index, 0.0, 0.0, scattered=True)
+    deviation = float(np.max(np.abs(stamps - time[index]))) / step
+    return Grid(time, step, index, deviation, 0.0, scattered=True)
 
 
 def _snap(period: float, count: int) -> float:

@@ -11,6 +11,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from jaxtyping import Float
 
+from eoi_jax.data.column_names import role_of_name
 from eoi_jax.data.readers.table import Table
 from eoi_jax.data.resampling import GridSettings
 
@@ -101,9 +102,19 @@ def find_clock(
     dates = table.columns[column].dtype.kind in "Mm"
     factor, unit_reason = _unit(column, values, table.units.get(column, ""), dates)
     name_reason = "the file says so" if column == table.time else _reason(column, values, dates)
+    if _runs_evenly(column, values, table):  # a signal that rises throughout is no second clock
+        likely = [key for key in likely if _runs_evenly(key, numbers[key], table)]
     return _clock_of(
         column, values * factor, factor, f"{name_reason}; {unit_reason}", tuple(likely[1:4])
     )
+
+
+def _runs_evenly(key: str, values: Float[np.ndarray, " time"], table: Table) -> bool:
+    """Whether a column is called a time, or ticks evenly and is not called a signal."""
+    dates = table.columns[key].dtype.kind in "Mm"
+    if key == table.time or dates or _NAMES.match(_stem(key)):
+        return True
+    return not role_of_name(key) and _ticks(np.diff(values))
 
 
 def _score(key: str, values: Float[np.ndarray, " time"], table: Table) -> float:
@@ -172,6 +183,9 @@ def _unit(
     if program:
         return 86400.0, f"its size is that of the dates of {program}, in days"
     whole_numbers = bool(np.all(values == np.rint(values)))
+    short, long = np.quantile(np.diff(values), [0.1, 0.9])
+    if whole_numbers and 0.0 < GridSettings.scatter * short <= long and step > 1.0:
+        return 1.0, "whole numbers, uneven as those of samples taken by hand: taken as seconds"
     if whole_numbers and step > 0 and step % 60.0 == 0:
         return 1.0, f"whole numbers {step / 60.0:g} minutes apart are taken as seconds"
     if whole_numbers and step >= 1000.0:

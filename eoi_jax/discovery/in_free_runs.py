@@ -281,7 +281,7 @@ def with_further_effects(
     added = _added(discovery, answer, fit, model)
     runs = whole_and_windows(fit.plant, answer.judging, window, long_runs.window)
     searched = [note for note in discovery.notes if isinstance(note, GridNote)]
-    notes = [*_lasting(discovery, answer), *searched, *hints]
+    notes = [*_lasting(discovery, answer, model.placed), *searched, *hints]
     notes.append(_FURTHER.format(labels_of(further), ratio) if further else _BETTER)
     notes += _replaced(discovery, fit.plant, further)
     return replace(
@@ -360,7 +360,7 @@ def _with_model(
     added = _added(discovery, answer, fit, model)
     rivals = [rival.effect for item in added for rival in item.alternatives]
     names = tuple(dict.fromkeys(name for name in rivals if name not in names_of(model.placed)))
-    notes = [*_lasting(discovery, answer), _REFINED, *_portion_note(answer)]
+    notes = [*_lasting(discovery, answer, model.placed), _REFINED, *_portion_note(answer)]
     notes += _replaced(discovery, fit.plant, model.placed)
     return replace(
         discovery, effects=names_of(model.placed), added=added,
@@ -373,11 +373,16 @@ def _with_model(
     )  # fmt: skip
 
 
-def _lasting(discovery: Discovery, answer: FreeRunAnswer) -> list[str]:
-    """Notes that hold for another fit as well, and how its records were made if that differs."""
+def _lasting(discovery: Discovery, answer: FreeRunAnswer, placed: Sequence[Placed]) -> list[str]:
+    """Notes that hold for another fit as well, and how its records were made if that differs.
+
+    What refused an effect in the injection does not hold where free runs came to that effect.
+    """
     settled, judging = discovery.held_out[0], answer.judging[0]
     same_hold = settled.hold == judging.hold and np.array_equal(settled.skew, judging.skew)
-    notes = _not_on_fit(discovery)
+    labels = labels_of(placed), *(item.effect.label for item in placed)
+    withdrawn = tuple(f"refused: {label} " for label in labels if label)
+    notes = [note for note in _not_on_fit(discovery) if not note.startswith(withdrawn)]
     if same_hold:
         return notes
     hold = _HOLD.format(hold_text(judging.hold, judging.input_names))

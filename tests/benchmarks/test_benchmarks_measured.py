@@ -18,6 +18,7 @@ from benchmarks.measured.found_cases import FIRST, FOUND
 from benchmarks.measured.found_driven_cases import DRIVEN
 from benchmarks.measured.found_fresh_cases import FRESH
 from benchmarks.measured.found_late_cases import LATE
+from benchmarks.measured.found_latest_cases import LATEST
 from benchmarks.measured.found_newest_cases import NEWEST
 from benchmarks.measured.found_sets import sets_directory
 from benchmarks.measured.found_short_cases import SHORT
@@ -100,7 +101,8 @@ def test_the_late_cases_are_all_set_aside():
     assert len(LATE) == 8
     assert len(FRESH) == 11
     assert len(NEWEST) == 7
-    aside = (*LATE.values(), *FRESH.values(), *NEWEST.values())
+    assert len(LATEST) == 4
+    aside = (*LATE.values(), *FRESH.values(), *NEWEST.values(), *LATEST.values())
     assert all(case.aside for case in aside)
 
 

@@ -628,6 +628,43 @@ def test_the_only_column_is_the_output(tmp_path):
 
 
 @pytest.mark.parametrize(
+    ("name", "outputs"),
+    [("voltage", ("voltage",)), ("Force [N]", ("Force [N]",)), ("i_current", ("i_current",)),
+     ("pwm", ()), ("u", ()), ("voltage_cmd", ())],
+)  # fmt: skip
+def test_the_only_signal_is_the_output_unless_it_is_sent(tmp_path, name, outputs):
+    """A capacitor that empties has a voltage and no input."""
+    found = inspect(written(tmp_path / "run.csv", **{"t": T, name: np.exp(-T)}))
+    assert found.outputs == outputs
+
+
+@pytest.mark.parametrize(
+    ("stamps", "factor"),
+    [((2, 4, 6, 8, 10, 12, 16, 22, 32, 62, 92, 122), 1.0), (range(0, 240, 20), 1e-3)],
+)
+def test_whole_numbers_without_a_usual_spacing_are_no_milliseconds(tmp_path, stamps, factor):
+    """A logger ticks; blood is taken more often at first."""
+    time = np.array(stamps, dtype=float)
+    found = inspect(written(tmp_path / "run.csv", time=time, y=np.exp(-0.02 * time)))
+    assert found.clock.factor == factor
+
+
+@pytest.mark.parametrize("name", ["speed", "voltage", "a"])
+def test_a_signal_that_rises_throughout_is_no_second_clock(tmp_path, name):
+    found = inspect(written(tmp_path / "run.csv", **{"t": T, name: 1.0 - np.exp(-T)}))
+    assert found.outputs == (name,)
+    assert found.clock.others == ()
+
+
+@pytest.mark.parametrize("name", ["millis", "b"])
+def test_a_second_clock_is_no_signal(tmp_path, name):
+    rows = {"time": T, name: np.rint(1000.0 * T), "y": np.exp(-T)}
+    found = inspect(written(tmp_path / "run.csv", **rows))
+    assert found.clock.others == (name,)
+    assert found.outputs == ("y",)
+
+
+@pytest.mark.parametrize(
     ("name", "role"), [("vout_V", "output"), ("Vin", "input"), ("qout", "output"), ("uin", "input")]
 )
 def test_what_goes_in_and_comes_out_is_told_by_the_name(name, role):

@@ -330,7 +330,7 @@ def test_what_is_wrong_is_named_with_its_rule_and_value(call, message):
 
 def test_a_clock_whose_samples_never_touch_the_grid_is_an_error():
     # Bursts of two samples: every third spacing is a gap, and few grid points are covered.
-    t = np.cumsum(np.tile([0.3, 1.0, 3.333], 4) + 1e-2 * np.arange(12)) * np.pi
+    t = np.cumsum(np.tile([0.9, 1.0, 3.333], 4) + 1e-2 * np.arange(12)) * np.pi
     with pytest.raises(ValueError, match="`outputs` must have at least 8 valid samples, got "):
         Record(t, t, t)
 

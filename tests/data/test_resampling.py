@@ -89,6 +89,18 @@ def test_scattered_stamps_in_multiples_of_more_than_a_digit_have_a_coarse_grid()
     assert (grid.scattered, grid.sample_period) == (True, 15.0)
 
 
+def test_scattered_stamps_of_many_digits_are_rounded_to_a_part_of_their_smallest_spacing():
+    """A thermometer that is read off: half of the samples would be lost at their median spacing."""
+    hours = np.array([0, 0.172064, 0.383619, 0.490808, 0.992902, 1.32293, 1.830666, 2.702279,
+                      4.107021, 8.087124, 8.293041, 9.999605]) * np.pi  # fmt: skip
+    grid = uniform_grid(hours)
+    assert grid.scattered
+    assert grid.index is not None
+    moved = np.abs(grid.time[grid.index] - hours)
+    assert moved.max() <= 0.0201 * np.diff(hours).min()
+    assert grid.deviation == pytest.approx(moved.max() / grid.sample_period)
+
+
 def test_scattered_stamps_that_would_need_too_fine_a_grid_have_none():
     draw = np.random.default_rng(0)
     stamps = np.cumsum(draw.exponential(1.0, 200))

@@ -99,6 +99,17 @@ def test_a_law_beside_the_answer_is_added(found):
     assert answer.windows_after.window == 2.0
 
 
+def test_an_effect_that_free_runs_came_to_is_not_said_to_be_refused(found):
+    hidden = SPRING | {effects.QuadraticDrag(): 0.2}
+    fit, held = record(hidden, 1), record(hidden, 2)
+    refused = [f"refused: {name} makes the free run worse or diverge on the records of `validation`"
+               for name in ("quadratic_drag", "coulomb_friction")]  # fmt: skip
+    left = replace(judged_on(found, held), notes=(*found.notes, *refused))
+    answer = with_further_effects(left, (fit,), (held,), [effects.QuadraticDrag()], None, 0.01)
+    assert answer.effects == ("cubic_stiffness", "quadratic_drag")
+    assert [note for note in answer.notes if note.startswith("refused: ")] == refused[1:]
+
+
 @pytest.mark.parametrize(("drift", "stays"), [(0.0, False), (0.3, True)])
 def test_an_answer_with_a_disturbance_in_time_must_predict_better_than_one_without(drift, stays):
     """Beside a spring that takes all there is it is as good, and goes."""
