@@ -53,6 +53,8 @@ CALLS = {
     "that can be read (No such file or directory), got a.urdf.",
     "Record.from_period(run.outputs, run.inputs, 0.01)": "`sample_period` must be positive and "
     "finite, got an array of shape (500, 1). It is the time between samples in seconds.",
+    "Record.from_period(0.01, run.inputs, run.outputs, mask_faults='no')": "`mask_faults` must be "
+    "True or False, got str.",
     "discover(plant, None)": "`records` must hold at least one record, got none",
     "discover(plant, run, [3])": "`validation` must be a Record or several, got int",
     "identify(plant, run, passes=True)": "`passes` must be an integer ≥ 1, got True",

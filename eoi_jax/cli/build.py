@@ -392,6 +392,7 @@ def _read_file(path: Path, table: DataTable, name: str, options: dict[str, Any])
             units=dict(table.units),
             unwrap=dict(table.unwrap),
             burn_in=table.burn_in,
+            mask_faults=table.mask_faults,
             max_gigabytes=table.max_gigabytes,
             **options,
         )

@@ -363,6 +363,7 @@ class DataTable(msgspec.Struct, frozen=True):
         hold: the input between samples: zero, linear, smooth, or auto; or by column, as
             ``{ heating = "zero", outdoor = "linear" }``. With a [controller] auto means zero.
         burn_in: time at the start that is not scored [s].
+        mask_faults: whether samples that leave the course of an output alone are masked.
         max_gigabytes: largest unpacked size of a compressed file [1e9 bytes].
     """
 
@@ -379,6 +380,7 @@ class DataTable(msgspec.Struct, frozen=True):
     parts: dict[str, tuple[tuple[int, int], ...]] = {}
     hold: HoldWord | dict[str, InputHold] = "auto"
     burn_in: NotNegative = 0.0
+    mask_faults: bool = True
     max_gigabytes: Positive = MAX_GIGABYTES
 
 

@@ -325,6 +325,7 @@ def _data_lines(
         '                               # or by column: { heating = "zero", outdoor = "linear" }',
         *_held_lines(inspection, inputs),
         "# burn_in = 0.0                 # time at the start that is not scored [s]",
+        "# mask_faults = true            # samples that leave their course alone are not scored",
         "",
         f"{mark}[validation]                    # {held_out[0]}, which the fit does not use",
         *held_out[1:],

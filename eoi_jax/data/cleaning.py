@@ -10,7 +10,7 @@ from typing import Any, TypeAlias
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from eoi_jax._checks import check, check_choice, counted, is_or_are, timed
+from eoi_jax._checks import check, check_choice, check_kind, counted, is_or_are, timed
 from eoi_jax._types import Mask, Signals, TimeAxis
 from eoi_jax.compiler.jax_private import Tracer
 from eoi_jax.data.glitches import without_faults
@@ -233,10 +233,16 @@ def drop_repeats(
     return stamps[distinct], u[distinct], y[distinct]
 
 
-def finite_samples(
-    u_names: tuple[str, ...], y_names: tuple[str, ...], u: Inputs, y: Outputs, notes: list[str]
+def scored_samples(
+    u_names: tuple[str, ...],
+    y_names: tuple[str, ...],
+    u: Inputs,
+    y: Outputs,
+    mask_faults: bool,
+    notes: list[str],
 ) -> tuple[Mask, OutputMask]:
     """Rows in which all inputs are finite; samples of each output that are, and no faults."""
+    check_kind("mask_faults", mask_faults, bool, "True or False")
     names, finite = (*u_names, *y_names), np.isfinite(np.hstack([u, y]))
     for key, column in zip(names, finite.T, strict=True):
         check(bool(column.any()), key, "must hold a finite value", "NaN or infinity throughout")
@@ -253,7 +259,8 @@ def finite_samples(
         listed = ", ".join(f"`{key}` {column.sum()}" for key, column in bad.items())
         share = f"{rows.sum()} of {counted(len(rows), 'sample')} {is_or_are(rows.sum())}"
         notes.append(f"{share} not finite ({listed}): masked.")
-    y_good = without_faults(y, y_good, u, y_names, notes)
+    if mask_faults:
+        y_good = without_faults(y, y_good, u, y_names, notes)
     counts = {key: int(column.sum()) for key, column in zip(y_names, y_good.T, strict=True)}
     counts |= {", ".join(u_names): int(u_good.sum())} if u_names else {}
     fewest = min(counts, key=lambda key: counts[key])

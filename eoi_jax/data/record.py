@@ -29,7 +29,6 @@ from eoi_jax.data.cleaning import (
     check_lengths,
     check_untraced,
     drop_repeats,
-    finite_samples,
     interpolate,
     interpolated_noise,
     is_slow,
@@ -39,6 +38,7 @@ from eoi_jax.data.cleaning import (
     rate_notes,
     read_signals,
     read_stamps,
+    scored_samples,
 )
 from eoi_jax.data.digest import digest
 from eoi_jax.data.input_holds import (
@@ -103,6 +103,8 @@ class Record(Result):
             zero for an input that at most 20 % of the steps change, else linear. Where inputs
             differ, one word for each: ``{"heating": "zero", "outdoor": "linear"}``, or in order.
         burn_in: time at the start that is not scored [s].
+        mask_faults: whether samples of an output that leave its course alone are masked, as faults
+            of the sensor: not where such a sample can be true, as in an impact.
 
     Attributes:
         time: (N,) [s]. inputs: (N, nu). outputs: (N, ny). All read-only.
@@ -166,6 +168,7 @@ class Record(Result):
         units: Mapping[str, str] | None = None,
         hold: HoldArgument = "auto",
         burn_in: Real = 0.0,
+        mask_faults: bool = True,
     ):
         check(bool(0 <= burn_in < np.inf), "burn_in", "must be a time ≥ 0 in seconds", burn_in)
         check_untraced(time, inputs, outputs)
@@ -177,14 +180,13 @@ class Record(Result):
         check_labels(u_names, y_names, dict(units or {}))
         notes: list[str] = []  # these also give warnings; the choice of a hold does not
         stamps, u, y = drop_repeats(stamps, u, y, notes)
-        good = finite_samples(u_names, y_names, u, y, notes)
+        good = scored_samples(u_names, y_names, u, y, mask_faults, notes)
         input_hold, hold_notes = declared_or_suggested(hold, u[good[0]], u_names)
         grid = uniform_grid(stamps)
         noise = quantum = None
         if grid.index is None:
             arrays = interpolate(grid, stamps, u, y, good, input_hold, notes, u_names)
-            # Interpolation hides both the noise and the steps of the raw values.
-            quantum = quanta(y, good[1])
+            quantum = quanta(y, good[1])  # interpolation hides the steps and the noise
             notes += wrap_notes(y_names, y, good[1])  # of jumps that an interpolation divides
             noise = interpolated_noise(grid, stamps, y, arrays[1], good[1], arrays[3], quantum)
         else:
@@ -226,6 +228,7 @@ class Record(Result):
         units: Mapping[str, str] | None = None,
         hold: HoldArgument = "auto",
         burn_in: Real = 0.0,
+        mask_faults: bool = True,
     ) -> "Record":
         """A record whose samples are `sample_period` [s] apart, the first one at time 0.
 
@@ -234,7 +237,7 @@ class Record(Result):
         check_positive("sample_period", sample_period, "It is the time between samples in seconds.")
         time = float(sample_period) * np.arange(read_signals("outputs", outputs).shape[0])
         return cls(time, inputs, outputs, name, input_names=input_names, units=units, hold=hold,
-                   output_names=output_names, burn_in=burn_in)  # fmt: skip
+                   output_names=output_names, burn_in=burn_in, mask_faults=mask_faults)  # fmt: skip
 
     # -- parts ----------------------------------------------------------------------------
 
@@ -705,8 +708,7 @@ class Record(Result):
             if array is not None:
                 array.setflags(write=False)  # kernels and results share them
         self._assign({**arrays, "sample_period": float(sample_period), "_middle": None})
-        # Of the samples of the original.
-        for name in ("_estimated_noise", "_estimated_quantum"):
+        for name in ("_estimated_noise", "_estimated_quantum"):  # of the samples of the original
             self.__dict__.pop(name, None)
 
     def _assign(self, values: dict[str, Any]) -> None:

@@ -25,7 +25,7 @@ from eoi_jax.cli.terminal import progress, say, shell_word
 from eoi_jax.data.readers.limits import MAX_GIGABYTES
 from eoi_jax.simulation.export import LANGUAGES
 
-START = [sys.executable, "-c", "from eoi_jax.cli.main import main; main()"]
+START = [sys.executable, "-m", "eoi_jax.cli"]
 COMMANDS = sorted(typer.main.get_command(app).commands)  # type: ignore[attr-defined]
 COLOUR = re.compile(r"\x1b\[[0-9;]*3[0-8][0-9;]*m")
 

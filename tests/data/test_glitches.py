@@ -84,3 +84,16 @@ def test_one_faulty_sample_does_not_move_a_fit():
         spoilt = record(y)
     fit = eoi.identify(plant, spoilt)
     assert fit.parameters["stiffness"] == pytest.approx(4.01, rel=0.02)
+
+
+def test_such_a_sample_is_kept_where_it_can_be_true(tmp_path):
+    y = SWING + NOISE
+    y[60] = 5.0
+    for made in (
+        Record(T, NO_INPUT, y, output_names=["y"], mask_faults=False),
+        Record.from_period(H, NO_INPUT, y, output_names=["y"], mask_faults=False),
+    ):
+        assert made.output_valid.all()
+    np.savetxt(tmp_path / "run.csv", np.stack([T, y], 1), header="t,y", delimiter=",", comments="")
+    made = eoi.read_record(tmp_path / "run.csv", "t", outputs="y", mask_faults=False)
+    assert made.output_valid.all()

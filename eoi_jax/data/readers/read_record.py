@@ -43,6 +43,7 @@ def read_record(
     renames: Mapping[str, str] | Mapping[int, str] | None = None,
     max_gigabytes: Real = MAX_GIGABYTES,
     unwrap: Mapping[str, Real] | Mapping[int, Real] | None = None,
+    mask_faults: bool = True,
 ) -> Record:
     """A record from named columns of a file.
 
@@ -74,6 +75,8 @@ def read_record(
             limit.
         unwrap: ``{column: period}`` of counters and angles that start again at the end of their
             range, in the unit after `scale`: ``{"encoder": 4096}``. See `Record.unwrapped`.
+        mask_faults: whether samples that leave the course of an output alone are masked, as in
+            `Record`.
 
     Returns:
         The record, with `notes` on the changes made to the data.
@@ -94,13 +97,8 @@ def read_record(
     _check_clock(time, sample_period)
     clock = None if time is None else _column_name("time", time)
     u_columns, y_columns = _column_names("inputs", inputs), _column_names("outputs", outputs)
-    check(
-        len(y_columns) > 0,
-        "outputs",
-        "must name at least one column",
-        "none",
-        f"Columns present: {_listed(columns)}.",
-    )
+    present = f"Columns present: {_listed(columns)}."
+    check(len(y_columns) > 0, "outputs", "must name at least one column", "none", present)
     selected = _pick(path, table, clock, u_columns, y_columns)
     factors = _factors(scale, selected)
     selected |= {key: selected[key] * factor for key, factor in factors.items()}
@@ -127,6 +125,7 @@ def read_record(
         units={"time" if key == clock else labels[key]: unit for key, unit in unit_names.items()},
         hold=hold,
         burn_in=burn_in,
+        mask_faults=mask_faults,
     )
     return record._changed(" ".join([*hints, *notes]))
 
