@@ -130,6 +130,7 @@ def test_friction_of_the_trolley_acts_on_the_load_too(found, held_out):
     assert np.all(found.windows_after.rmse < 2.0 * NOISE * np.std(held_out.outputs, axis=0))
 
 
+@pytest.mark.slow
 def test_it_is_told_as_a_force_beside_the_input(found):
     (one,) = found.added
     assert phrase(found, one).startswith("Coulomb (dry) friction at trolley beside force of 1.2")
@@ -149,6 +150,7 @@ def test_a_trolley_without_friction_gets_none():
     assert found.status.code == "nothing_missing"
 
 
+@pytest.mark.slow
 def test_a_narrow_spike_is_no_better_than_one_level_in_free_runs(found):
     (spike,) = (
         one for one in found.ranking if one.effect == "stribeck_friction" and one.through
@@ -166,6 +168,7 @@ def test_a_narrow_spike_is_no_better_than_one_level_in_free_runs(found):
     assert f"{found.explained:.1%}" in found.status.message
 
 
+@pytest.mark.slow
 def test_a_wider_law_is_kept_where_a_free_run_is_better_with_it(found):
     before, after = ((found.before, None), (found.after, found.windows_after))
     assert as_good(after, after)

@@ -90,6 +90,7 @@ campaign.swept(Path(sys.argv[1]))
 """
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(sys.platform == "win32", reason="has no SIGKILL")
 def test_a_chunk_is_marked_after_its_arrays_are_written(tmp_path):
     paths = [str(Path(campaign.__file__).parents[2]), str(Path(eoi.__file__).parents[1])]
