@@ -21,6 +21,9 @@ Flags: TypeAlias = Bool[Array, " ny"]
 # On the host: records hold NumPy arrays.
 TimeAxis: TypeAlias = Float[np.ndarray, " time"]
 Signals: TypeAlias = Float[np.ndarray, "time channel"]
+Inputs: TypeAlias = Float[np.ndarray, "time nu"]
+Outputs: TypeAlias = Float[np.ndarray, "time ny"]
+OutputMask: TypeAlias = Bool[np.ndarray, "time ny"]
 Mask: TypeAlias = Bool[np.ndarray, " time"]
 
 # Of a field that came later: a file holds it only where it is set, and others read as before.

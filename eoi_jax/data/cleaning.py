@@ -11,7 +11,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from eoi_jax._checks import check, check_choice, check_kind, counted, is_or_are, timed
-from eoi_jax._types import Mask, Signals, TimeAxis
+from eoi_jax._types import Inputs, Mask, OutputMask, Outputs, Signals, TimeAxis
 from eoi_jax.compiler.jax_private import Tracer
 from eoi_jax.data.glitches import without_faults
 from eoi_jax.data.input_holds import Columns, Hold, by_hold, hold_of_each, hold_text
@@ -36,9 +36,6 @@ SLOW = 1.5  # samples between two of an output, on average, from which on it has
 LONGEST_HELD = 2  # missing samples of a held input that is the same before and after them
 
 Names: TypeAlias = Sequence[str] | None
-Inputs: TypeAlias = Float[np.ndarray, "time nu"]
-Outputs: TypeAlias = Float[np.ndarray, "time ny"]
-OutputMask: TypeAlias = Bool[np.ndarray, "time ny"]
 # Inputs, outputs, where all inputs are known, and where each output was measured.
 OnGrid: TypeAlias = tuple[
     Float[np.ndarray, "points nu"],

@@ -5,16 +5,13 @@ sample is a fault of the sensor; one of them moves a fit by more than all others
 """
 
 from dataclasses import dataclass
-from typing import TypeAlias
 
 import numpy as np
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Float, Int
 
 from eoi_jax._checks import counted
+from eoi_jax._types import Inputs, OutputMask, Outputs
 
-Inputs: TypeAlias = Float[np.ndarray, "time nu"]
-Outputs: TypeAlias = Float[np.ndarray, "time ny"]
-OutputMask: TypeAlias = Bool[np.ndarray, "time ny"]
 # A sample less the cubic through two neighbours on each side.
 _STENCIL = np.array([1.0, -4.0, 6.0, -4.0, 1.0]) / 6.0
 

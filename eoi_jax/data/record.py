@@ -14,14 +14,11 @@ from jaxtyping import Float
 
 from eoi_jax._checks import RecordWarning, check, check_choice, check_positive, counted, warn_caller
 from eoi_jax._display import Result, text
-from eoi_jax._types import WHERE_SET, Mask, TimeAxis
+from eoi_jax._types import WHERE_SET, Inputs, Mask, OutputMask, Outputs, TimeAxis
 from eoi_jax.data.cleaning import (
     LONGEST_HELD,
     SHORTEST,
-    Inputs,
     Names,
-    OutputMask,
-    Outputs,
     between_own_samples,
     channel_groups,
     channel_names,
