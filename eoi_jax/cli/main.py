@@ -30,15 +30,21 @@ def main() -> None:
             gc.freeze()
     except KeyboardInterrupt:  # before a command starts
         _exit(ExitCode.INTERRUPTED, INTERRUPTED)
+    except SystemExit as end:
+        # A Python that an interrupt met within `exec` (as dataclasses are made) would end by SIGINT
+        # here, although the interrupt was handled.
+        if end.code == ExitCode.INTERRUPTED:
+            _exit(ExitCode.INTERRUPTED)
+        raise
     except Exception as error:  # outside `terminal.failures`, e.g. at an import
         if "--debug" in sys.argv:
             raise
         _exit(ExitCode.WRONG, f"{type(error).__name__}: {error}; --debug shows the traceback")
 
 
-def _exit(code: int, message: str) -> None:
+def _exit(code: int, message: str = "") -> None:
     with contextlib.suppress(OSError):  # stderr may be closed
-        sys.stderr.write(f"eoi: {message}\n")
+        sys.stderr.write(f"eoi: {message}\n" if message else "")
         sys.stderr.flush()
     with contextlib.suppress(OSError):
         sys.stdout.flush()

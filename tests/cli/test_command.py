@@ -273,6 +273,22 @@ def test_a_signal_that_is_ignored_stays_so(tmp_path: Path):
     assert done.returncode == 0, done.stderr
 
 
+def test_an_interrupt_while_a_class_is_made_ends_with_130(tmp_path: Path):
+    """`python -m` itself would end by SIGINT: it remembers an interrupt that `exec` met."""
+    code = (
+        "import sys; from eoi_jax.cli import commands, main\n"
+        "def app(prog_name):\n"
+        "    try: exec('raise KeyboardInterrupt')\n"
+        "    except KeyboardInterrupt: sys.exit(130)\n"
+        "commands.app = app; main.main()"
+    )
+    (tmp_path / "interrupted.py").write_text(code)
+    done = subprocess.run(
+        [sys.executable, "-m", "interrupted"], cwd=tmp_path, capture_output=True, text=True
+    )
+    assert (done.returncode, done.stdout, done.stderr) == (130, "", "")
+
+
 def test_an_error_that_nobody_foresaw_is_one_sentence(tmp_path: Path, monkeypatch):
     def fail(*_):
         raise KeyError("lost")
