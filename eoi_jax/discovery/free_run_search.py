@@ -63,7 +63,7 @@ from eoi_jax.refinement.refine import refine_once
 from eoi_jax.refinement.remaining import Remaining, remaining
 from eoi_jax.refinement.score_test import Candidate, is_tested
 from eoi_jax.simulation.error_growth import is_lost, returns
-from eoi_jax.simulation.sensor_noise import is_rounding
+from eoi_jax.simulation.sensor_noise import is_exact
 
 _RULES = RULES.free_runs
 
@@ -163,7 +163,7 @@ def search_free_runs(
     search = _most_likely(searches)
     best, rounds = search.base, []
     for number in range(1 if present else _RULES.most):
-        if all(is_rounding(run) for run in best.runs if run):
+        if all(is_exact(run) for run in best.runs if run):
             break
         # What short runs do not show or fit a whole one may, and the other way about.
         models = [

@@ -16,6 +16,7 @@ from eoi_jax.data.cleaning import own_noise
 from eoi_jax.data.noise import white_noise
 from eoi_jax.data.record import Record
 from eoi_jax.data.resampling import own_segments
+from eoi_jax.simulation.step_size import RULES
 from eoi_jax.simulation.validate import Validation
 
 
@@ -38,8 +39,8 @@ def sensor_noise(*free_runs: Validation | None) -> Float[np.ndarray, " ny"]:
 
     Returns:
         The largest over the records of `Record.noise`, each reduced to what the differences of
-        the errors show: those of the model that leaves least. Not below that of rounding, of the
-        samples and of a simulation, to which each of its steps adds ε |y|.
+        the errors show: those of the model that leaves least. Not below the rounding of the samples
+        and the accuracy of a simulation.
     """
     return np.min([_bound(run) for run in free_runs if run is not None], axis=0)
 
@@ -54,9 +55,9 @@ def shows_noise(run: Validation) -> Bool[np.ndarray, " ny"]:
     return sensor_noise(run) >= _SETTINGS.agreement * noise
 
 
-def is_rounding(run: Validation) -> bool:
-    """Whether the errors of free runs are those of the arithmetic: no model has smaller ones."""
-    return bool(np.all(run.rmse <= np.max([_rounding(record) for record in run.records], axis=0)))
+def is_exact(run: Validation) -> bool:
+    """Whether errors of free runs are within the accuracy of a simulation: smaller ones are luck."""
+    return bool(np.all(run.rmse <= np.max([_accuracy(record) for record in run.records], axis=0)))
 
 
 def _bound(run: Validation) -> Float[np.ndarray, " ny"]:
@@ -85,10 +86,15 @@ def _of_record(
             unprepared = own_noise(record.outputs[:, [j]], record.output_valid[:, j])[0]
             rounding = min(record.quantum[j] / np.sqrt(12.0), level)
             noise[j] = np.clip(error * level / unprepared, rounding, level)
-    return np.maximum(noise, _rounding(record))
+    return np.maximum(noise, _accuracy(record))
 
 
-def _rounding(record: Record) -> Float[np.ndarray, " ny"]:
-    """What the rounding of the steps of a free run adds up to, at most: ε |y| for each sample."""
-    largest = np.max(np.abs(record.outputs), axis=0, where=record.output_valid, initial=0.0)
-    return np.finfo(float).eps * largest * len(record)
+def _accuracy(record: Record) -> Float[np.ndarray, " ny"]:
+    """What a free run errs by itself: its steps, ``RULES.resolution`` of y, and their rounding.
+
+    Each step rounds to ε |y| at most.
+    """
+    counted = record.output_valid
+    spread = np.std(record.outputs, axis=0, where=counted)
+    largest = np.max(np.abs(record.outputs), axis=0, where=counted, initial=0.0)
+    return np.maximum(RULES.resolution * spread, np.finfo(float).eps * largest * len(record))

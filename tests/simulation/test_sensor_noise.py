@@ -5,7 +5,7 @@ import pytest
 from scipy.linalg import expm
 
 import eoi_jax as eoi
-from eoi_jax.simulation.sensor_noise import is_rounding, sensor_noise
+from eoi_jax.simulation.sensor_noise import is_exact, sensor_noise
 from eoi_jax.simulation.validate import judged_runs
 
 NOISE = 0.02
@@ -83,12 +83,13 @@ def test_the_bound_is_not_below_rounding_and_not_above_what_differences_show():
     assert sensor_noise(judged_runs(still, record))[0] <= record.noise[0]
 
 
-def test_rounding_of_a_simulation_is_no_motion():
-    """30 000 samples without noise: the true model leaves what its arithmetic adds up to."""
+def test_what_a_simulation_errs_by_is_no_motion():
+    """30 000 samples without noise: the true model leaves what steps and rounding add up to."""
     rates, push = np.array([[0.0, 1.0], [-40.0, -1.0]]), np.array([0.0, 1.0])
     plant = eoi.Plant(lambda t, x, u, p: p.b * u - 40.0 * x.y[0] - x.y[1], {"b": 1.0}, 2)
     record = simulated(rates, push, period=1e-3, seed=4, count=30_000, noise=0.0)
     runs = judged_runs(plant, record)
-    assert 0.0 < runs.rmse[0] < sensor_noise(runs)[0] < 1e-9 * np.std(record.outputs)
-    assert is_rounding(runs)
-    assert not is_rounding(judged_runs(plant.with_parameters({"b": 1.0 + 1e-6}), record))
+    assert 0.0 < runs.rmse[0] < sensor_noise(runs)[0] < 1.01e-7 * np.std(record.outputs)
+    assert is_exact(runs)
+    assert is_exact(judged_runs(plant.with_parameters({"b": 1.0 + 1e-8}), record))
+    assert not is_exact(judged_runs(plant.with_parameters({"b": 1.0 + 1e-6}), record))
