@@ -343,19 +343,18 @@ class _Draft:
 
     def adapt(self, history: History, place: int) -> None:
         """Bring amplitudes, noise and strengths closer to what they should be."""
-        self.settled, lost = True, False
+        self.settled = True
         self.turns += 1  # smaller and smaller changes, or amplitude and effect chase each other
-        for lane in range(2):
-            y = history.y[:, 2 * place + lane]
-            reached = float(np.max(np.abs(y - self.middle)))
-            ratio = self.swing / reached if np.isfinite(reached) and reached > 0 else 0.0
+        outputs = [history.y[:, 2 * place + lane] for lane in range(2)]
+        ratios = [self._ratio(y) for y in outputs]
+        for lane, (y, ratio) in enumerate(zip(outputs, ratios, strict=True)):
             if not 0.75 < ratio < 1.3:  # near enough: let the effects settle
                 self.scale[lane] *= np.clip(ratio, 0.4, 2.0) ** (0.8 / (1 + self.turns / 4))
                 self.settled &= 0.6 < ratio < 1.7
             self.sigma[lane] = self.noise * np.std(y) if ratio > 0 else 0.0
-            lost |= lane == 0 and not 0.4 < ratio < 2.5
-        if lost:  # not yet the plant's range: an effect means nothing here
+        if ratios[0] <= 0.4:  # not yet the plant's range: an effect means nothing here
             self.effects = {}
+        if not 0.4 < ratios[0] < 2.5:  # what damps stays, or the swing without it comes back
             return
         seen = replace(
             self.seen(history, place, COARSE * self.period),
@@ -366,6 +365,11 @@ class _Draft:
             before = self.effects.get(name)
             self.effects[name] = design(name, draws, target, seen, before)
             self.settled &= before is not None and _close(self.effects[name], before)
+
+    def _ratio(self, y: np.ndarray) -> float:
+        """The swing to reach over the one that is, 0 where there is none."""
+        reached = float(np.max(np.abs(y - self.middle)))
+        return self.swing / reached if np.isfinite(reached) and reached > 0 else 0.0
 
     def _fine_input(self, coarse: np.ndarray) -> np.ndarray:
         """Estimation input at the final period; a controller's lies between its coarse samples."""
