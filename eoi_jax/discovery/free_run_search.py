@@ -33,16 +33,12 @@ import numpy as np
 
 from eoi_jax.data.holds import SETTINGS
 from eoi_jax.data.record import Record
-from eoi_jax.discovery.additions import has_size
+from eoi_jax.discovery.additions import has_size, size_is_known
 from eoi_jax.discovery.judge import (
     Judge,
     Judged,
-    error_ratio,
     errors_of_each,
-    least_error_ratio,
     mean_error,
-    only_otherwise,
-    ratio_beyond_noise,
 )
 from eoi_jax.discovery.probability import Contest
 from eoi_jax.discovery.refit import not_simulated
@@ -61,6 +57,7 @@ from eoi_jax.models.placements import placements
 from eoi_jax.models.plant import Plant
 from eoi_jax.refinement.refine import refine_once
 from eoi_jax.refinement.remaining import Remaining, remaining
+from eoi_jax.refinement.result import Refinement
 from eoi_jax.refinement.score_test import Candidate, is_tested
 from eoi_jax.simulation.error_growth import is_lost, returns
 from eoi_jax.simulation.sensor_noise import is_exact
@@ -194,7 +191,8 @@ def search_free_runs(
         rounds.append(Contest(best, chosen, tuple(trials)))
         best = chosen
     search, best = _made_best(searches, search, search.leanest(best))
-    fits = search.settled(best)
+    while not (fits := search.settled(best)):
+        best = rounds.pop().origin
     if rival is not None and search.judge.prefers(search.judge.runs(rival), fits[0].runs):
         return None
     return replace(search.answer(fits, starts[0]), rounds=tuple(rounds))
@@ -231,7 +229,7 @@ class Search:
     ) -> "Search | None":
         """With the best base of each length of runs; None without a fit."""
         bases: list[Judged] = []
-        searched = _portion(records)
+        searched = portion(records)
         for window in (judge.longest, judge.window):
             fits = [_fitted(start, present, searched, window, judge) for start in starts]
             fits = [fit for fit in fits if fit is not None]
@@ -334,7 +332,21 @@ class Search:
             if any(item in placed for item in unknown):
                 return None
             trial = self._with_only([item for item in trial.placed if item not in unknown], trial)
-        return None if trial is None else self._without_turned(trial)
+        if trial is None or not self._tells_parameters(trial):
+            return None
+        return self._without_turned(trial)
+
+    def _tells_parameters(self, model: Judged) -> bool:
+        """Whether the records tell some parameter that they told of the declared model alone.
+
+        Else effects have made a part of it so fast, or so large, that only ratios are left.
+        """
+        base, fit = self.base.refinement, model.refinement
+        if not self.further(model):
+            return True
+        names = [name for name in base.plant.names if _is_sized(name, base)]
+        names = [name for name in names if name not in fit.plant.fixed]
+        return not names or any(_is_sized(name, fit) for name in names)
 
     def _without_turned(self, model: Judged) -> Judged:
         """A model without the declared terms whose place its effects have taken.
@@ -417,59 +429,14 @@ class Search:
         return self.leanest(min(leaner, key=lambda fit: (fit.size, fit.error)))
 
     def settled(self, best: Judged) -> list[Judged]:
-        """The model, and it refined over both lengths of runs; what predicts better first."""
-        fits = _over_both(best.refinement.plant, best.placed, self.records, self.judge)
+        """The model, and it refined over both lengths of runs; what predicts better first.
+
+        None where the fits then tell no parameter any more: the last effect goes.
+        """
+        fits = over_both(best.refinement.plant, best.placed, self.records, self.judge)
         ended = [fit for fit in fits if fit.refinement.status.ok]
-        return sorted([best, *ended], key=lambda fit: fit.error)
-
-
-def exchanged_ratio(answer: FreeRunAnswer) -> float:
-    """Ratio of the errors with and without the effects of an answer, when the parts change places.
-
-    Both models are refined on the records that judged, and judged on those of the fit, or on the
-    beginning of long ones: a few records that move slowly may prefer either by chance.
-    """
-    judge = Judge.of(_portion(answer.records), answer.base.refinement.plant)
-    if judge is None:
-        return np.inf
-    base, best = (
-        _best(_over_both(model.refinement.plant, model.placed, answer.judging, judge))
-        for model in (answer.base, answer.best)
-    )
-    return np.inf if base is None or best is None else float(np.exp(best.error - base.error))
-
-
-def long_run_ratio(answer: FreeRunAnswer) -> float:
-    """Ratio of the errors of long runs with and without the effects, where short ones tell nothing.
-
-    Short runs start anew so often that effects may hardly change them: what they miss by is noise,
-    and cannot fall. Long runs are then asked, on the records that judge and on those of the fit,
-    and the larger ratio counts, of what exceeds the noise of the sensors. Infinite where effects
-    could lower the errors of short runs enough to be confirmed, or where these grow.
-    """
-    best, base = answer.best.runs, answer.base.runs
-    assert best[1] is not None
-    assert base[1] is not None
-    judge = Judge.of(_portion(answer.records), answer.base.refinement.plant)
-    tells = least_error_ratio(best[1], base[1]) < RULES.answer.confirmed
-    grows = np.log(error_ratio(best[1], base[1])) > RULES.judge.same_error
-    if tells or grows or judge is None:
-        return np.inf
-    fits = [judge.runs(model.refinement.plant)[0] for model in (answer.best, answer.base)]
-    return max(ratio_beyond_noise(best[0], base[0]), ratio_beyond_noise(fits[0], fits[1]))
-
-
-def contradicted_by_fit(answer: FreeRunAnswer) -> bool:
-    """Whether the records of the fit could confirm the effects of an answer, and do not.
-
-    There the model predicts otherwise than the base, by as much as would lower the errors enough if
-    it were true, and hardly better.
-    """
-    judge = Judge.of(_portion(answer.records), answer.base.refinement.plant)
-    if judge is None:
-        return False
-    base, best = (model.refinement.plant for model in (answer.base, answer.best))
-    return only_otherwise(judge, best, base)
+        fits = [fit for fit in ended if self._tells_parameters(fit)]
+        return [] if ended and not fits else sorted([best, *fits], key=lambda fit: fit.error)
 
 
 def refined(
@@ -483,11 +450,11 @@ def refined(
         records: to fit.
         judge: of the fits.
     """
-    fits = _over_both(plant, placed, records, judge)
-    return _best([fit for fit in fits if fit.refinement.status.ok])
+    fits = over_both(plant, placed, records, judge)
+    return best_of([fit for fit in fits if fit.refinement.status.ok])
 
 
-def _over_both(
+def over_both(
     plant: Plant, placed: tuple[Placed, ...], records: tuple[Record, ...], judge: Judge
 ) -> list[Judged]:
     """A model refined over the long runs and over the short ones of its judge."""
@@ -496,7 +463,7 @@ def _over_both(
     return [fit for fit in fits if fit is not None]
 
 
-def _best(fits: Sequence[Judged]) -> Judged | None:
+def best_of(fits: Sequence[Judged]) -> Judged | None:
     """What predicts best; None of none."""
     return min(fits, key=lambda fit: fit.error, default=None)
 
@@ -517,7 +484,7 @@ def _fitted(
     return Judged(refinement, placed, judge.runs(refinement.plant))
 
 
-def _portion(records: tuple[Record, ...]) -> tuple[Record, ...]:
+def portion(records: tuple[Record, ...]) -> tuple[Record, ...]:
     """As many of the records as may be searched, evenly chosen; the beginning of a long one."""
     most = _RULES.samples // records[0].outputs.shape[1]
     if _count(records) <= most:
@@ -585,6 +552,13 @@ def _further_shapes(tested: Remaining, items: Sequence[Candidate]) -> list[Candi
     ]
 
 
+def _is_sized(name: str, fit: Refinement) -> bool:
+    """Whether a fit tells the size of a parameter that it estimates."""
+    return name not in fit.plant.fixed and size_is_known(
+        [name], fit.parameters, fit.standard_errors
+    )
+
+
 def _has_product(placed: Sequence[Placed]) -> bool:
     """Whether one of some effects is a product of signals."""
     return any(isinstance(item.effect, PRODUCTS) for item in placed)
@@ -623,8 +597,8 @@ def _made_best(searches: Sequence[Search], search: Search, best: Judged) -> tupl
     variants = [variant for variant in searches if variant is not search]
     for variant in variants if search.further(best) else ():
         model = best.refinement.plant, best.placed
-        trials = _over_both(*model, variant.searched, variant.judge)
-        trial = _best(trials)
+        trials = over_both(*model, variant.searched, variant.judge)
+        trial = best_of(trials)
         if trial is not None and (
             variant.judge.needs(trial, best) or _fits_better(trials, best, variant)
         ):

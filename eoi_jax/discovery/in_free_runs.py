@@ -18,14 +18,16 @@ from eoi_jax.discovery.additions import (
 )
 from eoi_jax.discovery.confirm import beyond_noise
 from eoi_jax.discovery.diagnose import diagnose
+from eoi_jax.discovery.free_run_evidence import (
+    contradicted_by_fit,
+    exchanged_ratio,
+    long_run_ratio,
+)
 from eoi_jax.discovery.free_run_search import (
     FreeRunAnswer,
     Model,
     RecordPair,
     Search,
-    contradicted_by_fit,
-    exchanged_ratio,
-    long_run_ratio,
     refined,
     search_free_runs,
 )

@@ -101,6 +101,7 @@ CLASSES: Mapping[str, str] = {
     "ActuatorLag": "models.effects.inputs",
     "ErrorSaturation": "models.effects.inputs",
     "InputAsymmetry": "models.effects.inputs",
+    "InputDamping": "models.effects.friction",
     "InputDeadZone": "models.effects.inputs",
     "InputDelay": "models.effects.inputs",
     "InputQuadratic": "models.effects.inputs",

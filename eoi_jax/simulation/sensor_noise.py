@@ -56,7 +56,7 @@ def shows_noise(run: Validation) -> Bool[np.ndarray, " ny"]:
 
 
 def is_exact(run: Validation) -> bool:
-    """Whether errors of free runs are within the accuracy of a simulation: smaller ones are luck."""
+    """Whether errors of free runs are within the accuracy of a simulation: less is luck."""
     return bool(np.all(run.rmse <= np.max([_accuracy(record) for record in run.records], axis=0)))
 
 

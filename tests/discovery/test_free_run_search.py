@@ -10,6 +10,7 @@ from scipy.signal import lfilter
 import eoi_jax as eoi
 from eoi_jax import effects
 from eoi_jax.discovery import free_run_search, in_free_runs
+from eoi_jax.discovery.free_run_evidence import exchanged_ratio
 from eoi_jax.discovery.free_run_search import (
     FreeRunAnswer,
     Search,
@@ -240,7 +241,7 @@ def test_an_effect_stays_a_lead_where_neither_part_confirms_it(monkeypatch, rati
 def test_the_parts_are_not_exchanged_where_the_records_of_the_fit_are_too_short():
     answer = searched(measured(1), measured(2), [effects.ConstantOffset()])
     short = (measured(1)[:20],)
-    assert free_run_search.exchanged_ratio(replace(answer, records=short)) == np.inf
+    assert exchanged_ratio(replace(answer, records=short)) == np.inf
 
 
 SPUN = eoi.Plant(lambda t, x, u, p: u - p.damping * x.y[0], {"damping": 1.2}, 1, inputs=("drive",),
@@ -537,6 +538,49 @@ def test_the_search_goes_on_from_what_is_left_without_stand_ins(monkeypatch):
     )
 
 
+def with_errors(model, **standard_errors):
+    return replace(model, refinement=replace(model.refinement, standard_errors=standard_errors))
+
+
+def test_an_effect_with_which_refinement_tells_no_parameter_any_more_goes(monkeypatch):
+    """It makes a part of the model so fast, or so large, that only ratios are left."""
+    judge, models = judged_with({"none": 0.0, "end_stop": -0.6, "product": -0.9})
+    base, stop, wide = (with_errors(model, b=0.1) for model in models.values())
+    wide = replace(wide, placed=(*stop.placed, *wide.placed))
+    further = {id(base): stop, id(stop): wide}
+    monkeypatch.setattr(free_run_search, "_begun", lambda *_: [search])
+    monkeypatch.setattr(free_run_search, "replacements", lambda *_: [])
+    monkeypatch.setattr(
+        Search,
+        "candidates",
+        lambda _, best, *__: [(base.refinement.plant, ())] if id(best) in further else [],
+    )
+    monkeypatch.setattr(Search, "fitted", lambda _, __, ___, best: further[id(best)])
+    monkeypatch.setattr(Search, "further_forms", lambda *_: [])
+    monkeypatch.setattr(Search, "leanest", lambda _, best: best)
+    monkeypatch.setattr(
+        Judge, "prefers", lambda _, trial, best: mean_error(trial) < mean_error(best)
+    )
+    told = {"end_stop": 0.2}  # standard error of b, which is one, after refinement to the end
+
+    def refined(_, placed, *__):
+        model = {len(one.placed): one for one in (base, stop, wide)}[len(placed)]
+        last = placed[-1].effect.name if placed else ""
+        return [with_errors(model, b=told.get(last, 7.0))]
+
+    monkeypatch.setattr(free_run_search, "over_both", refined)
+    search = Search(judge.records, judge.records, judge, (base,))
+    found = search_free_runs([base.refinement.plant], [(judge.records, judge.records)], [])
+    assert found is not None
+    assert found.best.placed == stop.placed
+    assert [contest.chosen for contest in found.rounds] == [stop]
+    told.clear()
+    found = search_free_runs([base.refinement.plant], [(judge.records, judge.records)], [])
+    assert found is not None
+    assert found.best.placed == ()
+    assert found.rounds == ()
+
+
 def test_records_too_short_for_windows_are_not_judged():
     record = measured(1)
     short = eoi.Record(record.time[:20], record.inputs[:20], record.outputs[:20], hold="zero")
@@ -560,7 +604,7 @@ def test_long_records_are_searched_in_part(monkeypatch, lengths, most, chosen):
         eoi.Record(np.arange(count), np.zeros(count), np.arange(count) + 100.0 * i, hold="zero")
         for i, count in enumerate(lengths)
     )
-    assert free_run_search._portion(records) == tuple(records[i] for i in chosen)
+    assert free_run_search.portion(records) == tuple(records[i] for i in chosen)
 
 
 @pytest.mark.slow
@@ -657,6 +701,36 @@ def test_an_elimination_that_saturates_is_named_and_measured():
     found = answer.plant.parameters
     assert found["saturating_loss_rate"] == pytest.approx(0.8, rel=0.02)
     assert found["saturating_loss_half"] == pytest.approx(0.5, rel=0.02)
+
+
+def switched(seed, count=950, period=0.02):
+    """A motor whose bridge is open between its pulses, of the mean of its pulses; both ways."""
+    random = np.random.default_rng(seed)
+    duty = np.repeat(random.uniform(-1.0, 1.0, count // 25), 25)
+    speed, run = 0.0, np.empty(count)
+    for i in range(count):
+        run[i] = speed
+        rate = 2.0 + 5.0 * abs(duty[i])
+        end = 510.0 * duty[i] / rate
+        speed = end + (speed - end) * np.exp(-rate * period)
+    noisy = run + 5e-3 * np.std(run) * random.normal(size=count)
+    return eoi.Record.from_period(
+        period, duty, noisy, f"run {seed}", hold="zero", input_names="duty", output_names="speed"
+    )
+
+
+@pytest.mark.slow
+@pytest.mark.long
+def test_a_driver_that_is_open_between_pulses_damps_in_proportion_to_its_duty():
+    plant = eoi.Plant(
+        lambda t, x, u, p: p.b * u - p.k * x.y[0], {"b": 300.0, "k": 3.0}, 1, ("duty",), ("speed",)
+    )
+    answer = eoi.discover(plant, switched(1), validation=switched(2))
+    assert answer.effects == ("input_damping",)
+    assert answer.status.code == "complete"
+    found = answer.plant.parameters
+    assert found["input_damping"] == pytest.approx(5.0, rel=0.02)
+    assert found["k"] == pytest.approx(2.0, rel=0.03)
 
 
 @pytest.mark.slow

@@ -10,7 +10,8 @@ from scipy.integrate import solve_ivp
 import eoi_jax as eoi
 from eoi_jax import effects
 from eoi_jax.discovery import in_free_runs
-from eoi_jax.discovery.free_run_search import long_run_ratio, search_free_runs
+from eoi_jax.discovery.free_run_evidence import long_run_ratio
+from eoi_jax.discovery.free_run_search import search_free_runs
 from eoi_jax.discovery.judge import (
     Judge,
     Judged,

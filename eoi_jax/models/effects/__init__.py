@@ -25,6 +25,7 @@ from eoi_jax.models.effects.friction import AsymmetricViscousFriction as Asymmet
 from eoi_jax.models.effects.friction import CoulombFriction as CoulombFriction
 from eoi_jax.models.effects.friction import CubicDamping as CubicDamping
 from eoi_jax.models.effects.friction import DisplacementDamping as DisplacementDamping
+from eoi_jax.models.effects.friction import InputDamping as InputDamping
 from eoi_jax.models.effects.friction import InternalFriction as InternalFriction
 from eoi_jax.models.effects.friction import QuadraticDrag as QuadraticDrag
 from eoi_jax.models.effects.friction import RateFriction as RateFriction

@@ -139,6 +139,27 @@ class DisplacementDamping(AbstractFriction):
         return -gain[0] * at.y**2 * at.v
 
 
+class InputDamping(AbstractFriction):
+    """-c |u| v: a motor whose driver is open between its pulses.
+
+    A bridge of duty u puts the supply V and the back-EMF K v on the winding for the share |u| of
+    the time, and nothing else: in the mean (K V u - K² |u| v)/R. Of an input that keeps its sign it
+    is the product of u and v, as of a stream that carries heat.
+    """
+
+    name = "input_damping"
+    sentence = "damping in proportion to the size of the input (a driver open between pulses)"
+    rarity = 1.0
+    gains = (Parameter("", "{f/v}/({u})", lower=0.0),)
+    only_in_free_runs = True
+
+    def shows(self, seen: Seen) -> bool:
+        return super().shows(seen) and turns(seen.u)
+
+    def term(self, at: At, gain: Any, shape: Any) -> Any:
+        return -gain[0] * jnp.abs(at.u) * at.v
+
+
 class RateFriction(AbstractFriction):
     """-c d/dt tanh(y/w), y a speed: dry friction of a swing that a gyroscope or geophone shows.
 

@@ -8,6 +8,7 @@ from eoi_jax.models.effects.friction import (
     CoulombFriction,
     CubicDamping,
     DisplacementDamping,
+    InputDamping,
     InternalFriction,
     QuadraticDrag,
     RateFriction,
@@ -99,11 +100,11 @@ def standard() -> tuple[AbstractEffect, ...]:
 def wider() -> tuple[AbstractEffect, ...]:
     """Effects that `discover` tries in free runs alone, where nothing else is an answer.
 
-    Products of signals, damping with the square of the displacement, dry friction of a motion of
-    which the output is the speed, a second mass (damped in the spring, in its bearing), a second
-    store, a loss with a power of the output, one that saturates, radiation, a yield law, a limited
-    control error, a response to the rate of the input, a lag of the sensor, cells in series (two; a
-    fit goes on to 3, 6 and 12).
+    Products of signals, damping with the square of the displacement, with the size of the input,
+    dry friction of a motion of which the output is the speed, a second mass (damped in the spring,
+    in its bearing), a second store, a loss with a power of the output, one that saturates,
+    radiation, a yield law, a limited control error, a response to the rate of the input, a lag of
+    the sensor, cells in series (two; a fit goes on to 3, 6 and 12).
 
     Returns:
         One object of each form.
@@ -117,6 +118,7 @@ def wider() -> tuple[AbstractEffect, ...]:
         Product("y", "y", "y"),
         Product("y", "v", "v"),
         DisplacementDamping(),
+        InputDamping(),
         RateFriction(),
         SecondMass(),
         SecondMass(in_bearing=True),

@@ -84,6 +84,7 @@ CLOSED: dict[AbstractEffect, Callable[..., Any]] = {
     effects.Product("y", "y"): lambda t, y, v, u, z, g, s: g[0] * y * y,
     effects.Product("y", "y", "y"): lambda t, y, v, u, z, g, s: g[0] * y * y * y,
     effects.Product("y", "v", "v"): lambda t, y, v, u, z, g, s: g[0] * y * v * v,
+    effects.InputDamping(): lambda t, y, v, u, z, g, s: -g[0] * abs(u) * v,
     effects.DisplacementDamping(): lambda t, y, v, u, z, g, s: -g[0] * y * y * v,
     effects.RateFriction(): lambda t, y, v, u, z, g, s: -g[0] * v / (s[0] * np.cosh(y / s[0]) ** 2),
     effects.ErrorSaturation(): lambda t, y, v, u, z, g, s: y + sorted((-s[0], u - y, s[0]))[1],
