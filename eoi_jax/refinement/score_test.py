@@ -173,7 +173,7 @@ class LinearisedRuns:
         if not placed.effect.shows(statistics):
             return []
         grid = np.asarray(placed.effect.grid(statistics), dtype=float)
-        if isinstance(placed.effect, AbstractCascade):
+        if _is_behind(placed.effect):
             columns = self._sensed(placed, grid)
         else:
             forces = self.forces(placed, grid)
@@ -266,8 +266,8 @@ class LinearisedRuns:
 
         Of each shape of a grid, for each gain.
         """
-        if isinstance(placed.effect, AbstractParameterEffect):
-            return self._with_changed_parameter(placed, grid)
+        if isinstance(placed.effect, AbstractParameterEffect | AbstractCascade):
+            return self._with_changed_model(placed, grid)
         if not isinstance(placed.effect, AbstractTerm):
             return [self._changed(placed, shape) for shape in grid]
         t, u, y, _ = self.stages
@@ -312,8 +312,8 @@ class LinearisedRuns:
             new[..., i] = np.asarray(effect.changed(At(time, level, rate, channel, None), shape))
         return _drift(self.plant, t, new, y, z) - self._unchanged
 
-    def _with_changed_parameter(self, placed: Placed, grid: np.ndarray) -> list[np.ndarray]:
-        """f with a changed parameter less f; none where it changes internal states, too."""
+    def _with_changed_model(self, placed: Placed, grid: np.ndarray) -> list[np.ndarray]:
+        """f of a changed model less f; none where that changes internal states, too."""
         start = dict(zip(placed.names, grid[-1].tolist(), strict=True))
         plant = augmented(self.plant, [placed], start)
         rates, new_rates = (_inner_rates(model, *self.stages) for model in (self.plant, plant))
@@ -380,6 +380,12 @@ class Try:
         return allowed and (bool(effect.gains) or bool(low < gains[0] < high))
 
 
+def _is_behind(effect: AbstractEffect) -> bool:
+    """Whether an effect changes what is measured of a free run, by a formula."""
+    formula = AbstractCascade.outputs_along
+    return isinstance(effect, AbstractCascade) and type(effect).outputs_along is not formula
+
+
 def is_tested(effect: AbstractEffect) -> bool:
     """Whether a score test knows what the effect does to free runs.
 
@@ -387,7 +393,7 @@ def is_tested(effect: AbstractEffect) -> bool:
         effect: any.
     """
     if isinstance(effect, AbstractCascade):
-        return type(effect).outputs_along is not AbstractCascade.outputs_along
+        return _is_behind(effect) or effect.states == 0
     if isinstance(effect, AbstractTerm) and effect.states:
         return type(effect).states_along is not AbstractTerm.states_along
     known = AbstractTerm | AbstractInputEffect | AbstractActuator | AbstractParameterEffect

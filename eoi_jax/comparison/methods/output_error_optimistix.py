@@ -167,16 +167,16 @@ class _Coordinates(eqx.Module):
         size = np.where(theta != 0, np.abs(theta), 1.0)
         has_lower, has_upper = np.isfinite(lower), np.isfinite(upper)
         lower, upper = np.where(has_lower, lower, 0.0), np.where(has_upper, upper, 0.0)
-        both, far = has_lower & has_upper, _SETTINGS.min_distance
-        half = np.where(both, 0.5 * (upper - lower), 1.0)
+        closed, far = has_lower & has_upper, _SETTINGS.min_distance
+        half = np.where(closed, 0.5 * (upper - lower), 1.0)
         most = 0.5 * np.pi - far
-        angle = np.clip(np.arcsin(np.where(both, (theta - lower) / half - 1.0, 0.0)), -most, most)
+        angle = np.clip(np.arcsin(np.where(closed, (theta - lower) / half - 1.0, 0.0)), -most, most)
         distance = np.where(has_lower, theta - lower, np.where(has_upper, upper - theta, 0.0))
         root = np.maximum(np.sqrt((1.0 + distance / size) ** 2 - 1.0), far)
-        beyond = np.where(has_lower, root, np.where(has_upper, -root, theta / size))
-        origin = np.where(both, angle, beyond)
+        excess = np.where(has_lower, root, np.where(has_upper, -root, theta / size))
+        origin = np.where(closed, angle, excess)
         slope = np.where(has_lower | has_upper, size * root / np.sqrt(1.0 + root**2), size)
-        slope = np.where(both, half * np.cos(angle), slope)
+        slope = np.where(closed, half * np.cos(angle), slope)
         step = np.minimum(size / slope, 1.0)
         return cls(lower, upper, has_lower, has_upper, size, origin, step)
 
@@ -194,9 +194,9 @@ class _Coordinates(eqx.Module):
         """The parameters."""
         x = self.origin + self.step * unknowns
         between = self.lower + 0.5 * (self.upper - self.lower) * (1.0 + jnp.sin(x))
-        beyond = self.size * (jnp.sqrt(1.0 + x**2) - 1.0)
-        above = jnp.where(self.has_upper, between, self.lower + beyond)
-        below = jnp.where(self.has_upper, self.upper - beyond, self.size * x)
+        excess = self.size * (jnp.sqrt(1.0 + x**2) - 1.0)
+        above = jnp.where(self.has_upper, between, self.lower + excess)
+        below = jnp.where(self.has_upper, self.upper - excess, self.size * x)
         return jnp.where(self.has_lower, above, below)
 
 

@@ -1,5 +1,6 @@
 """What a model may lack: the canonical effects and their interfaces."""
 
+from eoi_jax.models.effects.capacity import VaryingCapacity as VaryingCapacity
 from eoi_jax.models.effects.coupling import Coupling as Coupling
 from eoi_jax.models.effects.coupling import couplings as couplings
 from eoi_jax.models.effects.curve import Curve as Curve
@@ -27,11 +28,13 @@ from eoi_jax.models.effects.friction import CubicDamping as CubicDamping
 from eoi_jax.models.effects.friction import DisplacementDamping as DisplacementDamping
 from eoi_jax.models.effects.friction import InputDamping as InputDamping
 from eoi_jax.models.effects.friction import InternalFriction as InternalFriction
+from eoi_jax.models.effects.friction import LoadFriction as LoadFriction
 from eoi_jax.models.effects.friction import QuadraticDrag as QuadraticDrag
 from eoi_jax.models.effects.friction import RateFriction as RateFriction
 from eoi_jax.models.effects.friction import StribeckFriction as StribeckFriction
 from eoi_jax.models.effects.friction import ViscousFriction as ViscousFriction
 from eoi_jax.models.effects.inputs import ActuatorLag as ActuatorLag
+from eoi_jax.models.effects.inputs import CurrentLimit as CurrentLimit
 from eoi_jax.models.effects.inputs import ErrorSaturation as ErrorSaturation
 from eoi_jax.models.effects.inputs import InputAsymmetry as InputAsymmetry
 from eoi_jax.models.effects.inputs import InputDeadZone as InputDeadZone
@@ -42,6 +45,7 @@ from eoi_jax.models.effects.inputs import InputRate as InputRate
 from eoi_jax.models.effects.inputs import InputSaturation as InputSaturation
 from eoi_jax.models.effects.inputs import InputSquare as InputSquare
 from eoi_jax.models.effects.inputs import InputYield as InputYield
+from eoi_jax.models.effects.inputs import ValveFlow as ValveFlow
 from eoi_jax.models.effects.library import on_request as on_request
 from eoi_jax.models.effects.library import rare as rare
 from eoi_jax.models.effects.library import standard as standard

@@ -148,7 +148,7 @@ class InputDamping(AbstractFriction):
     """
 
     name = "input_damping"
-    sentence = "damping in proportion to the size of the input (a driver open between pulses)"
+    sentence = "damping in proportion to the size of the input (as of a driver open between pulses)"
     rarity = 1.0
     gains = (Parameter("", "{f/v}/({u})", lower=0.0),)
     only_in_free_runs = True
@@ -158,6 +158,24 @@ class InputDamping(AbstractFriction):
 
     def term(self, at: At, gain: Any, shape: Any) -> Any:
         return -gain[0] * jnp.abs(at.u) * at.v
+
+
+class LoadFriction(AbstractFriction):
+    """-c |u| sign(v): dry friction of what carries the load that the input is.
+
+    Gears, worms and screws, bearings, a brake: friction is in proportion to the force that they
+    pass on.
+    """
+
+    name = "load_friction"
+    sentence = "dry friction in proportion to the size of the input (of a gear under load)"
+    rarity = 1.0
+    gains = (Parameter("", "{f}/({u})", lower=0.0),)
+    reverses = True
+    only_in_free_runs = True
+
+    def term(self, at: At, gain: Any, shape: Any) -> Any:
+        return -gain[0] * jnp.abs(at.u) * jnp.sign(at.v)
 
 
 class RateFriction(AbstractFriction):

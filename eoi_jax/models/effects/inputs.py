@@ -91,6 +91,83 @@ class ErrorSaturation(AbstractInputEffect):
 
 
 @dataclass(frozen=True)
+class CurrentLimit(AbstractInputEffect):
+    """k v + clip(u - k v, -L, L): a drive that limits its current, u - k v over the resistance.
+
+    With v the speed of the motor and k its back-EMF in the unit of u. Such a drive pushes with a
+    constant force until the speed has caught up with the voltage.
+
+    Attributes:
+        of_position: whether the output is a position, and v its rate; else it is the speed.
+    """
+
+    of_position: bool = False
+
+    name = "current_limit"
+    sentence = "a limit of the current, input less back-EMF"
+    rarity = 1.0
+    shapes = (
+        Parameter("back_emf", "", lower=0.0),
+        Parameter("level", "{u}", lower=0.0),
+    )
+    only_in_free_runs = True
+
+    @property
+    def form(self) -> str:
+        return "of a position" if self.of_position else "of a speed"
+
+    def fits(self, plant: Plant, output: int) -> bool:
+        return len(plant.outputs) == 1 and plant.degrees[0] == 1 + self.of_position
+
+    def shows(self, seen: Seen) -> bool:
+        return bool(np.any(self._speed(seen)))
+
+    def grid(self, seen: Seen) -> Grid:
+        speed, rows = self._speed(seen), []
+        for share in (0.25, 0.5, 0.75, 1.0):
+            k = share * float(np.std(seen.u) / np.std(speed))
+            rows += [
+                (k, float(np.quantile(np.abs(seen.u - k * speed), q))) for q in (0.3, 0.6, 0.8, 0.9)
+            ]
+        return np.array(rows)
+
+    def changed(self, at: At, shape: Any) -> Any:
+        emf = shape[0] * self._speed(at)
+        return emf + jnp.clip(at.u - emf, -shape[1], shape[1])
+
+    def _speed(self, at: Any) -> Any:
+        return at.v if self.of_position else at.y
+
+
+class ValveFlow(AbstractInputEffect):
+    """u √(1 - sign(u) y/p): flow through a valve falls with the pressure behind it.
+
+    u opens the valve, y is the pressure that it makes and p that of the supply: Bernoulli's law of
+    an orifice, √(p - sign(u) y), of a valve that connects the other side with the tank.
+
+    Source: H. E. Merritt, Hydraulic Control Systems, Wiley 1967, section 5.2.
+    """
+
+    name = "valve_flow"
+    sentence = "a valve, whose flow falls with the root of the pressure that is left"
+    rarity = 1.0
+    shapes = (Parameter("supply", "", lower=0.0),)
+    only_in_free_runs = True
+
+    def fits(self, plant: Plant, output: int) -> bool:
+        return len(plant.outputs) == 1 and plant.degrees[0] == 1
+
+    def grid(self, seen: Seen) -> Grid:
+        size = float(np.max(np.abs(seen.y))) or 1.0
+        return size * np.array([1.1, 1.5, 2.5, 5.0])[:, None]
+
+    def changed(self, at: At, shape: Any) -> Any:
+        # Not zero: the root has no slope there.
+        drop = jnp.maximum(1.0 - jnp.sign(at.u) * at.y / shape[0], 1e-6)
+        return at.u * jnp.sqrt(drop)
+
+
+@dataclass(frozen=True)
 class InputSquare(AbstractInputEffect):
     """u|u| (of the sign of u), or u²: an actuator that gives the square of its input.
 

@@ -1,5 +1,6 @@
 """The standard library of effects."""
 
+from eoi_jax.models.effects.capacity import VaryingCapacity
 from eoi_jax.models.effects.disturbance import ConstantOffset, Drift, SinusoidalDisturbance
 from eoi_jax.models.effects.effect import AbstractEffect
 from eoi_jax.models.effects.friction import (
@@ -10,6 +11,7 @@ from eoi_jax.models.effects.friction import (
     DisplacementDamping,
     InputDamping,
     InternalFriction,
+    LoadFriction,
     QuadraticDrag,
     RateFriction,
     StribeckFriction,
@@ -17,6 +19,7 @@ from eoi_jax.models.effects.friction import (
 )
 from eoi_jax.models.effects.inputs import (
     ActuatorLag,
+    CurrentLimit,
     ErrorSaturation,
     InputAsymmetry,
     InputDeadZone,
@@ -26,6 +29,7 @@ from eoi_jax.models.effects.inputs import (
     InputRate,
     InputSaturation,
     InputYield,
+    ValveFlow,
 )
 from eoi_jax.models.effects.memory import Hysteresis, Relaxation, SecondMass, SecondNode
 from eoi_jax.models.effects.outflow import (
@@ -101,10 +105,11 @@ def wider() -> tuple[AbstractEffect, ...]:
     """Effects that `discover` tries in free runs alone, where nothing else is an answer.
 
     Products of signals, damping with the square of the displacement, with the size of the input,
-    dry friction of a motion of which the output is the speed, a second mass (damped in the spring,
-    in its bearing), a second store, a loss with a power of the output, one that saturates,
-    radiation, a yield law, a limited control error, a response to the rate of the input, a lag of
-    the sensor, cells in series (two; a fit goes on to 3, 6 and 12).
+    dry friction with that, or of a motion of which the output is the speed, a second mass (damped
+    in the spring, in its bearing), a second store, a loss with a power of the output, one that
+    saturates, radiation, a yield law, a limited control error, a limited current, a valve, a
+    response to the rate of the input, a lag of the sensor, cells in series (two; a fit goes on to
+    3, 6 and 12), a capacity that varies.
 
     Returns:
         One object of each form.
@@ -119,6 +124,7 @@ def wider() -> tuple[AbstractEffect, ...]:
         Product("y", "v", "v"),
         DisplacementDamping(),
         InputDamping(),
+        LoadFriction(),
         RateFriction(),
         SecondMass(),
         SecondMass(in_bearing=True),
@@ -129,9 +135,15 @@ def wider() -> tuple[AbstractEffect, ...]:
         Radiation(celsius=True),
         InputYield(),
         ErrorSaturation(),
+        CurrentLimit(of_position=False),
+        CurrentLimit(of_position=True),
+        ValveFlow(),
         InputRate(),
         SensorLag(),
         CellsInSeries(),
+        VaryingCapacity("linear"),
+        VaryingCapacity("even"),
+        VaryingCapacity("power"),
     )
 
 

@@ -84,10 +84,20 @@ CLOSED: dict[AbstractEffect, Callable[..., Any]] = {
     effects.Product("y", "y"): lambda t, y, v, u, z, g, s: g[0] * y * y,
     effects.Product("y", "y", "y"): lambda t, y, v, u, z, g, s: g[0] * y * y * y,
     effects.Product("y", "v", "v"): lambda t, y, v, u, z, g, s: g[0] * y * v * v,
+    effects.LoadFriction(): lambda t, y, v, u, z, g, s: -g[0] * abs(u) * np.sign(v),
     effects.InputDamping(): lambda t, y, v, u, z, g, s: -g[0] * abs(u) * v,
     effects.DisplacementDamping(): lambda t, y, v, u, z, g, s: -g[0] * y * y * v,
     effects.RateFriction(): lambda t, y, v, u, z, g, s: -g[0] * v / (s[0] * np.cosh(y / s[0]) ** 2),
     effects.ErrorSaturation(): lambda t, y, v, u, z, g, s: y + sorted((-s[0], u - y, s[0]))[1],
+    effects.CurrentLimit(of_position=False): lambda t, y, v, u, z, g, s: sorted(
+        (s[0] * y - s[1], u, s[0] * y + s[1])
+    )[1],
+    effects.CurrentLimit(of_position=True): lambda t, y, v, u, z, g, s: sorted(
+        (s[0] * v - s[1], u, s[0] * v + s[1])
+    )[1],
+    effects.ValveFlow(): lambda t, y, v, u, z, g, s: (
+        u * max(1.0 - np.sign(u) * y / s[0], 1e-6) ** 0.5
+    ),
     effects.InputYield(): lambda t, y, v, u, z, g, s: sorted((-s[0], u, s[0]))[1] + s[1] * u,
     effects.Leak(): lambda t, y, v, u, z, g, s: -g[0] * y,
     effects.Overflow(): lambda t, y, v, u, z, g, s: -g[0] * (y - s[0]) if y > s[0] else 0.0,
@@ -156,7 +166,11 @@ def test_every_effect_has_a_closed_form_here():
         "input_rate",
         "input_modulation",
     }  # test_effects.py
-    assert {one.name for one in in_series} == {"cells_in_series", "sensor_lag"}  # test_series.py
+    assert {one.name for one in in_series} == {
+        "cells_in_series",
+        "sensor_lag",
+        "varying_capacity",
+    }  # test_series.py, test_capacity.py
 
 
 SPILLS = [one for one in INTERNAL if isinstance(one, effects.InternalOverflow)]

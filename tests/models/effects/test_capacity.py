@@ -1,0 +1,127 @@
+"""A capacity that changes with the output divides all that acts on it."""
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
+
+import eoi_jax as eoi
+from eoi_jax import effects
+from eoi_jax.models.augmented import augmented, place
+from eoi_jax.models.equations.display import equation_text
+from eoi_jax.models.plant import State
+
+LAWS = {
+    "linear": lambda y, a: 1.0 + a * y,
+    "even": lambda y, a: 1.0 + a * y * y,
+    "power": lambda y, a: y**a,
+}
+
+
+def tank(t, x, u, p):
+    return p.gain * u - p.outflow * jnp.sqrt(jnp.maximum(x.y[0], 1e-9))
+
+
+TANK = eoi.Plant(tank, {"gain": 1.0, "outflow": 0.8}, 1, ("pump",), ("level",))
+
+
+@pytest.mark.parametrize("law", LAWS)
+def test_all_that_acts_on_the_output_is_divided(law):
+    """Also a leak that is added later, and one that was there before."""
+    capacity = effects.VaryingCapacity(law)
+    parts = [(capacity, {capacity.name: 0.7}), (effects.Leak(), {"leak": 0.3})]
+    for order in (parts, parts[::-1]):
+        plant = TANK
+        for effect, values in order:
+            at = place(plant, effect, 0)
+            plant = augmented(plant, (at,), dict(zip(at.names, values.values(), strict=True)))
+        for level in (0.4, 1.0, 2.5):
+            state = State(jnp.array([[level]]), jnp.zeros(0))
+            slope = plant.dynamics(0.0, state, jnp.array([1.5]), plant.named(plant.theta))
+            expected = (1.5 - 0.8 * np.sqrt(level) - 0.3 * level) / LAWS[law](level, 0.7)
+            assert slope[0] == pytest.approx(expected, rel=1e-12)
+
+
+def test_the_equation_has_it_in_front_of_all():
+    capacity = effects.VaryingCapacity("linear")
+    at = place(TANK, capacity, 0)
+    plant = augmented(TANK, (at,), {"varying_capacity": 0.7})
+    assert "varying_capacity·level" in equation_text(plant)
+
+
+def cone(seed, count=1200, period=0.1):
+    """A cone-shaped tank (its section grows with the square of the level) by SciPy."""
+    random = np.random.default_rng(seed)
+    pump = np.repeat(random.uniform(0.5, 1.3, count // 40), 40)
+    level, run = 1.0, np.empty(count)
+    for i in range(count):
+        run[i] = level
+        level = solve_ivp(
+            lambda _, y, u=pump[i]: (u - 0.8 * np.sqrt(y)) / y**2, (0.0, period), [level], rtol=1e-9
+        ).y[0, -1]
+    noisy = run + 2e-3 * np.std(run) * random.normal(size=count)
+    return eoi.Record(
+        period * np.arange(count), pump, noisy, f"run {seed}", hold="zero",
+        input_names="pump", output_names="level",
+    )  # fmt: skip
+
+
+@pytest.mark.slow
+@pytest.mark.long
+def test_the_section_of_a_cone_is_found_with_its_exponent():
+    answer = eoi.discover(TANK, cone(1), validation=cone(2))
+    assert answer.effects == ("varying_capacity",)
+    assert answer.status.code == "complete"
+    found = answer.plant.parameters
+    assert found["varying_capacity_exponent"] == pytest.approx(2.0, rel=0.02)
+    assert found["gain"] == pytest.approx(1.0, rel=0.02)
+
+
+def driven(law, count=1000, period=0.02, seed=3):
+    """What hides a limit of the current, a valve, or friction under load, by SciPy's integrator."""
+    random = np.random.default_rng(seed)
+    u = np.repeat(random.uniform(-3.0, 3.0, count // 25), 25)
+    x, run = np.zeros(2 if law is loaded else 1), np.empty(count)
+    for i in range(count):
+        run[i] = x[0]
+        x = solve_ivp(
+            lambda _, x, u=u[i]: law(x, u), (0.0, period), x, rtol=1e-8, atol=1e-10, max_step=0.01
+        ).y[:, -1]
+    noisy = run + 2e-3 * np.std(run) * random.normal(size=count)
+    return eoi.Record.from_period(period, u, noisy, f"run {seed}", hold="zero")
+
+
+def limited(x, u):
+    return [3.0 * np.clip(u - 0.5 * x[0], -1.0, 1.0) - 0.3 * x[0]]
+
+
+def throttled(x, u):
+    return [0.7 * u * np.sqrt(max(5.0 - np.sign(u) * x[0], 0.0)) - 1.0 * x[0]]
+
+
+def loaded(x, u):
+    return [x[1], 2.0 * u - 10.0 * x[0] - 0.8 * x[1] - 0.3 * abs(u) * np.tanh(x[1] / 1e-2)]
+
+
+@pytest.mark.slow
+@pytest.mark.long
+@pytest.mark.parametrize(
+    ("law", "name", "values"),
+    [
+        (limited, "current_limit", {"current_limit_back_emf": 0.5, "current_limit_level": 1.0}),
+        (throttled, "valve_flow", {"valve_flow_supply": 5.0}),
+        (loaded, "load_friction", {"load_friction": 0.3}),
+    ],
+)
+def test_laws_of_input_and_output_are_named_and_measured(law, name, values):
+    if law is loaded:
+        plant = eoi.Plant(
+            lambda t, x, u, p: p.b * u - p.k * x.y[0] - p.c * x.y[1],
+            {"b": 1.5, "k": 8.0, "c": 1.0}, 2,
+        )  # fmt: skip
+    else:
+        plant = eoi.Plant(lambda t, x, u, p: p.b * u - p.k * x.y[0], {"b": 1.0, "k": 1.0}, 1)
+    answer = eoi.discover(plant, driven(law), validation=driven(law, seed=4))
+    assert answer.effects == (name,)
+    for parameter, value in values.items():
+        assert answer.plant.parameters[parameter] == pytest.approx(value, rel=0.02)
