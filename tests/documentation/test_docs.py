@@ -268,7 +268,7 @@ def test_the_table_of_effects_is_that_of_the_library():
 def printed(effect: Any) -> str:
     """What an effect adds to the output's highest derivative, to another's; or makes of u."""
     inner = isinstance(effect, eoi.effects.AbstractInternalEffect)
-    if isinstance(effect, eoi.effects.CellsInSeries | eoi.effects.VaryingCapacity):
+    if isinstance(effect, eoi.effects.AbstractCascade) and effect.name != "sensor_lag":
         return shown(eoi.Plant(stream, {"a": 1.0, "inlet": 1.0}), effect)
     states = {"internal": lambda t, x, u, p: 0.0 * x.z, "internal_initial": [0.0]}
     return shown(

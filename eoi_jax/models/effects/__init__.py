@@ -1,5 +1,6 @@
 """What a model may lack: the canonical effects and their interfaces."""
 
+from eoi_jax.models.effects.capacity import RateAsymmetry as RateAsymmetry
 from eoi_jax.models.effects.capacity import VaryingCapacity as VaryingCapacity
 from eoi_jax.models.effects.coupling import Coupling as Coupling
 from eoi_jax.models.effects.coupling import couplings as couplings
@@ -45,6 +46,7 @@ from eoi_jax.models.effects.inputs import InputRate as InputRate
 from eoi_jax.models.effects.inputs import InputSaturation as InputSaturation
 from eoi_jax.models.effects.inputs import InputSquare as InputSquare
 from eoi_jax.models.effects.inputs import InputYield as InputYield
+from eoi_jax.models.effects.inputs import RateLimit as RateLimit
 from eoi_jax.models.effects.inputs import ValveFlow as ValveFlow
 from eoi_jax.models.effects.library import on_request as on_request
 from eoi_jax.models.effects.library import rare as rare
@@ -67,6 +69,7 @@ from eoi_jax.models.effects.products import Product as Product
 from eoi_jax.models.effects.products import input_actions as input_actions
 from eoi_jax.models.effects.products import input_products as input_products
 from eoi_jax.models.effects.series import CellsInSeries as CellsInSeries
+from eoi_jax.models.effects.series import SensorCurve as SensorCurve
 from eoi_jax.models.effects.series import SensorLag as SensorLag
 from eoi_jax.models.effects.stiffness import CubicStiffness as CubicStiffness
 from eoi_jax.models.effects.stiffness import EndStop as EndStop

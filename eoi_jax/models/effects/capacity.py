@@ -1,8 +1,8 @@
-"""What stands in front of the highest derivative: a capacity or an inertia that changes."""
+"""What stands in front of the highest derivative: a capacity, or a rate of its own each way."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, ClassVar
 
 import jax.numpy as jnp
 import numpy as np
@@ -11,7 +11,6 @@ from eoi_jax._checks import check_choice
 from eoi_jax.models.effects.effect import AbstractCascade, Grid, Parameter, Seen, turns
 from eoi_jax.models.plant import Plant
 
-_LEAST = 0.02  # of the capacity at y = 0: a fit that tries less is on its way elsewhere
 _FORMS = ("linear", "even", "power")
 
 
@@ -30,12 +29,14 @@ class VaryingCapacity(AbstractCascade):
 
     Attributes:
         law: "linear", "even" or "power".
+        smallest: of C(y)/C(0); a fit that tries less is on its way elsewhere.
 
     Raises:
         ValueError: another law.
     """
 
     law: str = "linear"
+    smallest: ClassVar[float] = 0.02
 
     name = "varying_capacity"
     sentence = "a capacity or an inertia that changes with the output"
@@ -82,7 +83,37 @@ class VaryingCapacity(AbstractCascade):
         """C(y)/C(0) [1]."""
         if self.law == "power":
             return jnp.maximum(jnp.abs(y), np.finfo(float).tiny) ** shape[0]
-        return jnp.maximum(1.0 + shape[0] * (y if self.law == "linear" else y**2), _LEAST)
+        return jnp.maximum(1.0 + shape[0] * (y if self.law == "linear" else y**2), self.smallest)
+
+    def rates(self, model: Callable[[Any, bool], Any], y: Any, z: Any, shape: Any) -> Any:
+        del model, y, shape
+        return z
+
+
+class RateAsymmetry(AbstractCascade):
+    """y' = f + a |f|: what rises at another rate than it falls, by the factor (1 + a)/(1 - a).
+
+    A heater with a fan that blows as it cools, a cell that is charged and discharged, muscles.
+    """
+
+    name = "rate_asymmetry"
+    sentence = "a rate that differs between rising and falling"
+    rarity = 1.0
+    shapes = (Parameter("", "1", lower=-0.99, upper=0.99),)
+    depends_on = "y"
+    only_in_free_runs = True
+    needs = "an output of relative degree one, without dry friction"
+
+    def fits(self, plant: Plant, output: int) -> bool:
+        return plant.degrees[output] == 1 and VaryingCapacity().fits(plant, output)
+
+    def grid(self, seen: Seen) -> Grid:
+        return np.array([-0.6, -0.3, -0.1, 0.1, 0.3, 0.6])[:, None]
+
+    def slope(self, model: Callable[[Any, bool], Any], y: Any, z: Any, shape: Any) -> Any:
+        del z
+        rate = model(y, True)
+        return rate + shape[0] * jnp.abs(rate)
 
     def rates(self, model: Callable[[Any, bool], Any], y: Any, z: Any, shape: Any) -> Any:
         del model, y, shape

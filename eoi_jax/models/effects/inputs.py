@@ -345,6 +345,44 @@ class InputRate(AbstractActuator):
         return u + shapes[:, :1] / lags * (u - ActuatorLag().sampled(time, u, lags))
 
 
+class RateLimit(AbstractActuator):
+    """dz/dt = ±R until z = u: an actuator that moves no faster; at rest at the start of the record.
+
+    A servo, a valve with its motor, a controller that ramps its set point.
+    """
+
+    name = "rate_limit"
+    sentence = "a limit of the rate of the actuator"
+    rarity = 1.0
+    shapes = (Parameter("", "{u}/s", lower=0.0),)
+    depends_on = "t"
+    only_in_free_runs = True
+
+    def shows(self, seen: Seen) -> bool:
+        return bool(np.ptp(seen.u))
+
+    def grid(self, seen: Seen) -> Grid:
+        return np.sort(np.ptp(seen.u) / (2.0 * lag_times(seen)), axis=0)
+
+    def along(self, time: Any, u: Any, shape: Any) -> Any:
+        reach = shape[0] * (time[1] - time[0])
+        return jax.lax.scan(lambda z, u: _ramped(z, u, reach), u[0], u)[1]
+
+    def memory(self, period: float, shape: Any) -> int:
+        return 1
+
+    def step(self, memory: Any, u: Any, period: Any, shape: Any) -> tuple[Any, Any]:
+        state, mean = _ramped(memory[0], u, shape[0] * period)
+        return state[None], mean
+
+
+def _ramped(z: Any, u: Any, reach: Any) -> tuple[Any, Any]:
+    """Where a ramp from z towards u ends after a step in which it may go so far, and its mean."""
+    reach = jnp.maximum(reach, np.finfo(float).tiny)
+    moved = jnp.clip(u - z, -reach, reach)
+    return z + moved, z + moved * (1.0 - 0.5 * jnp.abs(moved) / reach)
+
+
 def _lag_factors(lag: Any, period: Any, xp: Any) -> tuple[Any, Any]:
     """exp(-h/T) of a lag with time constant T, and its mean over a step."""
     decay = xp.exp(-period / xp.maximum(lag, _SHORTEST * period))

@@ -1,6 +1,6 @@
 """The standard library of effects."""
 
-from eoi_jax.models.effects.capacity import VaryingCapacity
+from eoi_jax.models.effects.capacity import RateAsymmetry, VaryingCapacity
 from eoi_jax.models.effects.disturbance import ConstantOffset, Drift, SinusoidalDisturbance
 from eoi_jax.models.effects.effect import AbstractEffect
 from eoi_jax.models.effects.friction import (
@@ -29,6 +29,7 @@ from eoi_jax.models.effects.inputs import (
     InputRate,
     InputSaturation,
     InputYield,
+    RateLimit,
     ValveFlow,
 )
 from eoi_jax.models.effects.memory import Hysteresis, Relaxation, SecondMass, SecondNode
@@ -41,7 +42,7 @@ from eoi_jax.models.effects.outflow import (
     SaturatingLoss,
 )
 from eoi_jax.models.effects.products import Product
-from eoi_jax.models.effects.series import CellsInSeries, SensorLag
+from eoi_jax.models.effects.series import CellsInSeries, SensorCurve, SensorLag
 from eoi_jax.models.effects.stiffness import (
     CubicStiffness,
     EndStop,
@@ -108,8 +109,9 @@ def wider() -> tuple[AbstractEffect, ...]:
     dry friction with that, or of a motion of which the output is the speed, a second mass (damped
     in the spring, in its bearing), a second store, a loss with a power of the output, one that
     saturates, radiation, a yield law, a limited control error, a limited current, a valve, a
-    response to the rate of the input, a lag of the sensor, cells in series (two; a fit goes on to
-    3, 6 and 12), a capacity that varies.
+    limited rate of the actuator, a response to the rate of the input, a lag of the sensor, cells in
+    series (two; a fit goes on to 3, 6 and 12), a capacity that varies, a rate that differs between
+    rising and falling, a bent sensor.
 
     Returns:
         One object of each form.
@@ -138,12 +140,15 @@ def wider() -> tuple[AbstractEffect, ...]:
         CurrentLimit(of_position=False),
         CurrentLimit(of_position=True),
         ValveFlow(),
+        RateLimit(),
         InputRate(),
         SensorLag(),
         CellsInSeries(),
         VaryingCapacity("linear"),
         VaryingCapacity("even"),
         VaryingCapacity("power"),
+        RateAsymmetry(),
+        SensorCurve(),
     )
 
 

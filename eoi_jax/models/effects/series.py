@@ -2,7 +2,7 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, ClassVar
 
 import jax
 import jax.numpy as jnp
@@ -167,3 +167,58 @@ class SensorLag(AbstractCascade):
 
     def rates(self, model: Callable[[Any, bool], Any], y: Any, z: Any, shape: Any) -> Any:
         return jnp.reshape(model(self.model_output(y, z, shape), True) - z[0] / shape[0], (1,))
+
+
+class SensorCurve(AbstractCascade):
+    r"""y = x + c x²: the record shows a bent image of what the model describes.
+
+    How the record was made, and no part of the plant: a thermistor, a potentiometer, the pressure
+    below a gas. Slope and zero of the sensor are those of the declared model. From
+    x = g(y) = 2 y/(1 + s), s = √(1 + 4 c y),
+
+        ẋ = ẏ/s,   y^(r) = s [f(x, ẋ; u) + 2 c ẏ²/s³],  ẏ² for r = 2 alone.
+
+    Attributes:
+        flattest: smallest slope s of it over that at zero: it still tells values apart.
+    """
+
+    flattest: ClassVar[float] = 0.02
+
+    name = "sensor_curve"
+    sentence = "a sensor whose characteristic is bent: how the record was made, not the plant"
+    rarity = 1.0
+    shapes = (Parameter("", "1/({y})"),)
+    depends_on = "y"
+    only_in_free_runs = True
+    behind_output = True
+    needs = "an output of relative degree one or two, without dry friction"
+
+    def fits(self, plant: Plant, output: int) -> bool:
+        jumps = plant.jumps
+        sticks = jumps[output].any() or jumps[:, output].any()
+        return plant.degrees[output] in (1, 2) and not sticks
+
+    def grid(self, seen: Seen) -> Grid:
+        size = float(np.max(np.abs(seen.y))) or 1.0
+        return np.array([-0.2, -0.05, 0.05, 0.2, 0.6])[:, None] / size
+
+    def outputs_along(
+        self, y: Float[np.ndarray, "runs time"], period: float, shape: np.ndarray
+    ) -> Float[np.ndarray, "runs time"]:
+        return y + shape[0] * y**2
+
+    def model_output(self, y: Any, z: Any, shape: Any) -> Any:
+        root = self._root(y, shape)
+        return jnp.concatenate([(2.0 * y[0] / (1.0 + root))[None], y[1:] / root])
+
+    def slope(self, model: Callable[[Any, bool], Any], y: Any, z: Any, shape: Any) -> Any:
+        root = self._root(y, shape)
+        bend = 2.0 * shape[0] * y[1] ** 2 / root**3 if len(y) > 1 else 0.0
+        return root * (model(self.model_output(y, z, shape), True) + bend)
+
+    def rates(self, model: Callable[[Any, bool], Any], y: Any, z: Any, shape: Any) -> Any:
+        del model, y, shape
+        return z
+
+    def _root(self, y: Any, shape: Any) -> Any:
+        return jnp.sqrt(jnp.maximum(1.0 + 4.0 * shape[0] * y[0], self.flattest**2))

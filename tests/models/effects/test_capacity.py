@@ -1,4 +1,4 @@
-"""A capacity that changes with the output divides all that acts on it."""
+"""What acts on a whole equation: capacity, a rate for each way, a bent sensor; and a ramp."""
 
 import jax.numpy as jnp
 import numpy as np
@@ -47,6 +47,55 @@ def test_the_equation_has_it_in_front_of_all():
     at = place(TANK, capacity, 0)
     plant = augmented(TANK, (at,), {"varying_capacity": 0.7})
     assert "varying_capacity·level" in equation_text(plant)
+
+
+@pytest.mark.parametrize("asymmetry", [-0.5, 0.4])
+def test_what_rises_has_another_rate_than_what_falls(asymmetry):
+    at = place(TANK, effects.RateAsymmetry(), 0)
+    plant = augmented(TANK, (at,), {"rate_asymmetry": asymmetry})
+    for level, pump in ((0.4, 1.5), (2.5, 0.3)):
+        state = State(jnp.array([[level]]), jnp.zeros(0))
+        rate = pump - 0.8 * np.sqrt(level)
+        slope = plant.dynamics(0.0, state, jnp.array([pump]), plant.named(plant.theta))
+        assert slope[0] == pytest.approx(rate * (1.0 + asymmetry * np.sign(rate)), rel=1e-12)
+
+
+@pytest.mark.parametrize("bend", [-0.08, 0.25])
+@pytest.mark.parametrize("degree", [1, 2])
+def test_a_bent_sensor_shows_the_image_of_the_motion(degree, bend):
+    """By the chain rule, of y = x + c x²."""
+
+    def law(t, x, u, p):
+        return u - p.k * x.y[0] - (p.c * x.y[1] if degree == 2 else 0.0)
+
+    plain = eoi.Plant(law, {"k": 4.0, "c": 0.6}, degree)
+    at = place(plain, effects.SensorCurve(), 0)
+    plant = augmented(plain, (at,), {"sensor_curve": bend})
+    for x, rate in ((0.7, -1.3), (-0.6, 0.4), (1.5, 2.0)):
+        force = 0.9 - 4.0 * x - (0.6 * rate if degree == 2 else 0.0)
+        slope = 1.0 + 2.0 * bend * x
+        seen = [[x + bend * x**2], [slope * rate]][:degree]
+        highest = slope * force + (2.0 * bend * rate**2 if degree == 2 else 0.0)
+        state = State(jnp.array(seen), jnp.zeros(0))
+        got = plant.dynamics(0.0, state, jnp.array([0.9]), plant.named(plant.theta))
+        assert got[0] == pytest.approx(highest, rel=1e-12)
+
+
+def test_a_limited_actuator_ramps_to_its_input():
+    """Its mean over each step: a trapezium where it arrives within the step."""
+    time, u = np.array([0.05, 0.15, 0.25, 0.35, 0.45]), np.array([0.0, 1.0, 1.0, 1.0, -9.0])
+    ramp = effects.RateLimit().along(time, jnp.asarray(u), [4.0])
+    np.testing.assert_allclose(ramp, [0.0, 0.2, 0.6, 0.95, 0.8], atol=1e-12)
+
+
+def test_a_limited_actuator_steps_as_it_runs_along():
+    time, u = np.arange(40) * 0.1, np.random.default_rng(1).uniform(-1.0, 1.0, 40)
+    limit, memory, means = effects.RateLimit(), jnp.asarray(u[:1]), []
+    assert limit.memory(0.1, [3.0]) == 1
+    for value in u:
+        memory, mean = limit.step(memory, value, 0.1, [3.0])
+        means.append(mean)
+    np.testing.assert_allclose(limit.along(time, jnp.asarray(u), [3.0]), means, rtol=1e-12)
 
 
 def cone(seed, count=1200, period=0.1):
@@ -99,8 +148,32 @@ def throttled(x, u):
     return [0.7 * u * np.sqrt(max(5.0 - np.sign(u) * x[0], 0.0)) - 1.0 * x[0]]
 
 
+def one_way(x, u):
+    return [(1.0 if 2.0 * u > x[0] else 0.4) * (2.0 * u - x[0])]
+
+
 def loaded(x, u):
     return [x[1], 2.0 * u - 10.0 * x[0] - 0.8 * x[1] - 0.3 * abs(u) * np.tanh(x[1] / 1e-2)]
+
+
+def bent(count=1000, period=0.05, seed=3):
+    """A first-order plant behind a sensor of y = x + 0.25 x²; exact between its samples."""
+    random = np.random.default_rng(seed)
+    u, x, run = np.repeat(random.uniform(0.0, 2.0, count // 25), 25), 0.5, np.empty(count)
+    for i in range(count):
+        run[i] = x + 0.25 * x**2
+        x = u[i] / 0.7 + (x - u[i] / 0.7) * np.exp(-0.7 * period)
+    noisy = run + 2e-3 * np.std(run) * random.normal(size=count)
+    return eoi.Record.from_period(period, u, noisy, f"run {seed}", hold="zero")
+
+
+@pytest.mark.slow
+@pytest.mark.long
+def test_a_bent_sensor_is_named_and_measured():
+    plant = eoi.Plant(lambda t, x, u, p: p.b * u - p.k * x.y[0], {"b": 0.8, "k": 1.0}, 1)
+    answer = eoi.discover(plant, bent(), validation=bent(seed=4))
+    assert answer.effects == ("sensor_curve",)
+    assert answer.plant.parameters["sensor_curve"] == pytest.approx(0.25, rel=0.02)
 
 
 @pytest.mark.slow
@@ -111,6 +184,7 @@ def loaded(x, u):
         (limited, "current_limit", {"current_limit_back_emf": 0.5, "current_limit_level": 1.0}),
         (throttled, "valve_flow", {"valve_flow_supply": 5.0}),
         (loaded, "load_friction", {"load_friction": 0.3}),
+        (one_way, "rate_asymmetry", {"rate_asymmetry": 3.0 / 7.0}),
     ],
 )
 def test_laws_of_input_and_output_are_named_and_measured(law, name, values):

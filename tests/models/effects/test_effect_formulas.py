@@ -165,11 +165,14 @@ def test_every_effect_has_a_closed_form_here():
         "actuator_lag",
         "input_rate",
         "input_modulation",
+        "rate_limit",
     }  # test_effects.py
     assert {one.name for one in in_series} == {
         "cells_in_series",
         "sensor_lag",
+        "sensor_curve",
         "varying_capacity",
+        "rate_asymmetry",
     }  # test_series.py, test_capacity.py
 
 
