@@ -40,7 +40,7 @@ class VaryingCapacity(AbstractCascade):
 
     name = "varying_capacity"
     sentence = "a capacity or an inertia that changes with the output"
-    rarity = 1.0
+    rarity = 2.0  # it bends all that acts, and may stand in for a law of one of these
     depends_on = "y"
     only_in_free_runs = True
     needs = "an output that is a state, without dry friction"
@@ -98,7 +98,7 @@ class RateAsymmetry(AbstractCascade):
 
     name = "rate_asymmetry"
     sentence = "a rate that differs between rising and falling"
-    rarity = 1.0
+    rarity = 2.0
     shapes = (Parameter("", "1", lower=-0.99, upper=0.99),)
     depends_on = "y"
     only_in_free_runs = True

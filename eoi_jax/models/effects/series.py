@@ -186,7 +186,7 @@ class SensorCurve(AbstractCascade):
 
     name = "sensor_curve"
     sentence = "a sensor whose characteristic is bent: how the record was made, not the plant"
-    rarity = 1.0
+    rarity = 5.0  # most sensors are straight; behind a lag the actuator's square does much the same
     shapes = (Parameter("", "1/({y})"),)
     depends_on = "y"
     only_in_free_runs = True
