@@ -332,9 +332,7 @@ class Search:
             if any(item in placed for item in unknown):
                 return None
             trial = self._with_only([item for item in trial.placed if item not in unknown], trial)
-        if trial is None or not self._tells_parameters(trial):
-            return None
-        return self._without_turned(trial)
+        return None if trial is None else self._without_turned(trial)
 
     def _tells_parameters(self, model: Judged) -> bool:
         """Whether the records tell some parameter that they told of the declared model alone.
@@ -431,12 +429,14 @@ class Search:
     def settled(self, best: Judged) -> list[Judged]:
         """The model, and it refined over both lengths of runs; what predicts better first.
 
-        None where the fits then tell no parameter any more: the last effect goes.
+        None where the fits then tell no parameter any more, as it did: the last effect goes.
         """
         fits = over_both(best.refinement.plant, best.placed, self.records, self.judge)
         ended = [fit for fit in fits if fit.refinement.status.ok]
         fits = [fit for fit in ended if self._tells_parameters(fit)]
-        return [] if ended and not fits else sorted([best, *fits], key=lambda fit: fit.error)
+        if ended and not fits and self._tells_parameters(best):
+            return []
+        return sorted([best, *(fits or ended)], key=lambda fit: fit.error)
 
 
 def refined(
