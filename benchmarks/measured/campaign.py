@@ -148,9 +148,9 @@ def errors(
         for record in records:
             count = len(record) // runs
             window = count * record.sample_period if runs > 1 else np.inf
-            run = eoi.validate(
-                model, record, initial_samples=min(_START, count // 3), window=window
-            )
+            step = float(np.max(record.output_periods)) / record.sample_period
+            head = round(step * min(_START, int(count / step) // 3))
+            run = eoi.validate(model, record, initial_samples=head, window=window)
             squares = squares + np.asarray(run.rmse) ** 2 * run.scored
             counts += run.scored
         return scale * np.sqrt(squares / counts)

@@ -16,7 +16,7 @@ from eoi_jax.cli import config
 from eoi_jax.cli.build import DATA_VARIABLE
 from eoi_jax.cli.terminal import shell_word
 from eoi_jax.data.column_names import stem
-from eoi_jax.data.inspection import Channel, Inspection, InspectionSettings
+from eoi_jax.data.inspection import SMOOTH, Channel, Inspection, InspectionSettings
 from eoi_jax.data.record import Record
 from eoi_jax.data.resampling import low_pass
 from eoi_jax.data.wrapping import JUMPS, course
@@ -112,7 +112,9 @@ def checked(text: str, target: Path) -> str:
 
 
 def _outputs(inspection: Inspection) -> list[str]:
-    outputs = list(inspection.outputs)
+    """The outputs, those that a name or the caller says to be some before those that only move."""
+    smooth = {channel.name for channel in inspection.channels if channel.why.startswith(SMOOTH)}
+    outputs = sorted(inspection.outputs, key=lambda name: name in smooth)
     roles = [
         f"{channel.name} ({channel.role}{f', {channel.why}' * (channel.role == 'text')})"
         for channel in inspection.channels[:10]
@@ -313,7 +315,8 @@ def _data_lines(
     unused = [channel.name for channel in inspection.channels if channel.role == "other"][:20]
     if further_outputs or unused:
         names = ", ".join(_one_line(name) for name in (*further_outputs, *unused))
-        lines.append(f"# other columns: {names}")
+        drives = "; one that drives the output is an input" if not inputs else ""
+        lines.append(f"# other columns: {names}{drives}")
     if units:
         lines.append(f"units = {_table(units)}")
     lines += _unwrap_lines(output)

@@ -40,6 +40,7 @@ from eoi_jax.data.time_axis import (
 )
 from eoi_jax.data.wrapping import Wrapping, course, wrapping
 
+SMOOTH = "it moves smoothly"  # of an output that nothing but its values says to be one
 _PERIODS = frozenset(["ts", "dt", "sampletime", "sampleperiod", "samplingperiod", "samplingtime"])
 _RATES = frozenset(["fs", "samplerate", "samplingrate", "samplingfrequency"])
 
@@ -478,7 +479,7 @@ def _role(channel: Channel, values: Float[np.ndarray, " time"]) -> tuple[str, st
     if staircase and _is_set(steps, channel.quantum):
         return "input", "it is held between levels that are more than a step of its values apart"
     if jump <= _SETTINGS.max_motion and channel.changes and channel.changes > STAIRCASE:
-        return "output", f"it moves smoothly, at most {100 * jump:.2g} % of its range in one sample"
+        return "output", f"{SMOOTH}, at most {100 * jump:.2g} % of its range in one sample"
     return "other", "there is no evidence of its role"
 
 

@@ -30,7 +30,8 @@ class GridSettings:
     rounding: float = 1e-9  # of sums and quotients of stamps
     gap: float = 2.5  # spacing above which samples are missing; below, a sample is late
     max_growth: float = 10.0  # points of the grid for each stamp; with more, the pauses dominate
-    scatter: float = 4.0  # long over short spacings, from which on there is no usual one
+    many: float = 0.1  # of the spacings; so many that are long are how samples come, no gaps
+    scatter: float = 4.0  # long over short spacings in whole numbers, which are no milliseconds
     most_points: int = 20_000  # of a grid that has every stamp though they have no usual spacing
     moved: float = 0.02  # of the smallest spacing, by which a stamp of such a grid may be rounded
 
@@ -497,9 +498,12 @@ def _resolution(stamps: TimeAxis, period: float) -> float:
 
 
 def _scattered_grid(stamps: TimeAxis) -> Grid | None:
-    """The grid that has every stamp, where spacings differ so much that none of them is usual."""
-    short, long = np.quantile(np.diff(stamps), [0.1, 0.9])
-    if long < _SETTINGS.scatter * short:
+    """The grid that has every stamp, where spacings differ so much that none of them is usual.
+
+    Then as many as a tenth of them would be gaps, had the record the period of another tenth.
+    """
+    short, long = np.quantile(np.diff(stamps), [_SETTINGS.many, 1.0 - _SETTINGS.many])
+    if long < _SETTINGS.gap * short:
         return None
     elapsed, smallest = stamps - stamps[0], float(np.diff(stamps).min())
     unit = _resolution(elapsed, 10.0 * smallest)

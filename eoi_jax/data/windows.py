@@ -108,24 +108,39 @@ def plan(
     return Plan(tuple(starts), tuple(predicted), count, score, available, need, late, lost, head)
 
 
+def steps_between_samples(records: Sequence[Record]) -> float:
+    """Steps of the grid from a sample to the next of the output that is measured most often.
+
+    Args:
+        records: the data set.
+
+    Returns:
+        At least 1: what it is where some output is measured at every step.
+    """
+    periods = [np.min(record.output_periods) / record.sample_period for record in records]
+    return max(1.0, float(np.max(np.round(periods, 6))))
+
+
 def start_samples(record: Record, required: int, usual: int = 50, share: float = 1 / 3) -> int:
     """Samples from which the state at the start of a run is estimated.
 
     Args:
         record: along which the run is.
         required: samples of each output that a state needs.
-        usual: so many where the record is long enough.
+        usual: so many samples where the record is long enough.
         share: of a short record, or of its longest part with known inputs.
 
     Returns:
-        `usual`, less in a short record, but three times as many as are required and three; more
-        where an output is measured so rarely that fewer than one more than the required ones would
-        lie among them.
+        `usual`, less in a short record, but three times as many as are required and three; on a
+        grid that is finer than the samples, the steps in which there are so many; more where an
+        output is measured so rarely that fewer than one more than the required ones would lie
+        among them.
     """
     longest = max((stop - start for start, stop in record.input_segments()), default=len(record))
-    count = min(usual, max(int(share * longest), 3 * required + 3))
+    step = steps_between_samples([record])
+    count = step * min(usual, max(int(share * longest / step), 3 * required + 3))
     periods = np.round(record.output_periods / record.sample_period, 6)
-    return max(count, int(np.ceil((required + 1) * np.max(periods))))
+    return int(np.ceil(max(count, (required + 1) * np.max(periods))))
 
 
 def driven_parts(record: Record, shortest: int = 2) -> list[tuple[int, Record]]:

@@ -16,6 +16,7 @@ from jaxtyping import Float
 
 from eoi_jax.data.holds import with_hold
 from eoi_jax.data.record import Record
+from eoi_jax.discovery.additions import has_size
 from eoi_jax.discovery.confirm import beyond_noise
 from eoi_jax.discovery.free_run_search import Search, refined
 from eoi_jax.discovery.in_free_runs import answered, placed_effects
@@ -92,9 +93,21 @@ def with_curves(
     if best is named:
         return discovery
     answer = search.answer(search.settled(search.leanest(best)), declared.plant)
+    if not tells_its_curve(answer.final):
+        return discovery
     found = answered(discovery, answer, lowpass)
     notes = dict.fromkeys((*found.notes, *_nearest_laws(answer.final)))
     return replace(found, ambiguous_with=(), advice="", notes=tuple(notes))
+
+
+def tells_its_curve(model: Judged) -> bool:
+    """Whether a fit tells the size of the curves in it.
+
+    A curve that was found over runs of one length may be of another shape over runs of another
+    one: then the records do not tell it.
+    """
+    curves = [at for at in model.placed if isinstance(at.effect, Curve | InputCurve)]
+    return all(has_size(at, model.refinement) for at in curves)
 
 
 def _with_best_curve(search: Search, named: Judged, explained: bool) -> Judged:

@@ -1,7 +1,10 @@
 """What the records of the fit, and long runs, say of an answer that free runs came to."""
 
+from collections.abc import Sequence
+
 import numpy as np
 
+from eoi_jax.data.record import Record
 from eoi_jax.discovery.free_run_search import FreeRunAnswer, best_of, over_both, portion
 from eoi_jax.discovery.judge import (
     Judge,
@@ -10,7 +13,36 @@ from eoi_jax.discovery.judge import (
     only_otherwise,
     ratio_beyond_noise,
 )
+from eoi_jax.discovery.remarks import FitNote
 from eoi_jax.discovery.rules import RULES
+
+
+def lost_on_held_out(answer: FreeRunAnswer) -> list[str]:
+    """A sentence where free runs of every length miss held-out records by more than a constant.
+
+    Of two models of which neither says anything of a record one is nearer to it by chance. Records
+    of another place or speed, which the fit has not seen, look so: then the sentence says it.
+    """
+    runs = [run for run in answer.best.runs if run is not None]
+    if not all(np.all(~(run.nrmse <= RULES.questions.useless)) for run in runs):
+        return []
+    seen, judging = (_ranges(records) for records in (answer.records, answer.judging))
+    first = answer.judging[0]
+    apart = [
+        f"{key} is {low:.4g} to {high:.4g} {first.units.get(key, '')}".rstrip()
+        + f" there, {fitted[0]:.4g} to {fitted[1]:.4g} in the fit"
+        for key, (low, high), fitted in zip(first.output_names, judging, seen, strict=True)
+        if low > fitted[1] or high < fitted[0]
+    ]
+    return [FitNote("; ".join([_LOST, *apart]))]
+
+
+def _ranges(records: Sequence[Record]) -> list[tuple[float, float]]:
+    """Of each output, over all records."""
+    measured = [np.where(record.output_valid, record.outputs, np.nan) for record in records]
+    together = np.concatenate(measured)
+    lows, highs = np.nanmin(together, axis=0), np.nanmax(together, axis=0)
+    return list(zip(lows.tolist(), highs.tolist(), strict=True))
 
 
 def exchanged_ratio(answer: FreeRunAnswer) -> float:
@@ -60,3 +92,9 @@ def contradicted_by_fit(answer: FreeRunAnswer) -> bool:
         return False
     base, best = (model.refinement.plant for model in (answer.base, answer.best))
     return only_otherwise(judge, best, base)
+
+
+_LOST = (
+    "free runs of no model predict the held-out records better than a constant does, which says "
+    "nothing of effects"
+)

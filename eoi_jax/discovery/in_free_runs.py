@@ -22,6 +22,7 @@ from eoi_jax.discovery.free_run_evidence import (
     contradicted_by_fit,
     exchanged_ratio,
     long_run_ratio,
+    lost_on_held_out,
 )
 from eoi_jax.discovery.free_run_search import (
     FreeRunAnswer,
@@ -312,8 +313,9 @@ def answered(discovery: Discovery, answer: FreeRunAnswer, lowpass: LowPass | Non
     effect that the library lacks can lower them a little, too. Where it lowers those of the
     held-out records less, but by more than chance, long runs alone count where short ones tell
     nothing of it; or the mean over both parts, each predicted by the other. A product names no
-    cause, and is chosen of many: the records of the fit must confirm it, if they can. Else it is
-    the lead, and the declared model is refined unless that raises them by more than chance.
+    cause, and is chosen of many: the records of the fit must confirm it, if they can. Where no
+    model says anything of the held-out records, their errors confirm none. Else it is the lead, and
+    the declared model is refined unless that raises them by more than chance.
     """
     base, best = answer.base, answer.best
     ratio = float(np.exp(best.error - base.error))
@@ -329,7 +331,8 @@ def answered(discovery: Discovery, answer: FreeRunAnswer, lowpass: LowPass | Non
         notes = [FitNote(_EXCHANGED.format(exchanged))]
     if any(isinstance(at.effect, PRODUCTS) for at in best.placed):
         confirms = confirms and not contradicted_by_fit(answer)
-    if best.placed and confirms and not _imitates(discovery, best):
+    lost = lost_on_held_out(answer)
+    if best.placed and confirms and not lost and not _imitates(discovery, best):
         names, best = labels_of(best.placed), answer.final
         ratio = float(np.exp(best.error - base.error))
         left = beyond_noise(best.runs[1], answer.judging)
@@ -349,8 +352,8 @@ def answered(discovery: Discovery, answer: FreeRunAnswer, lowpass: LowPass | Non
         left = best.placed or beyond_noise(base.runs[1], answer.judging)
         verdict = ("unexplained", _NOT_EXPLAINED) if left else ("nothing_missing", _NOTHING_MISSING)
         outcome = replace(discovery, status=Status(*verdict), lead=lead)
-        return _with_model(outcome, answer, base, lowpass)
-    return replace(discovery, lead=lead)
+        discovery = _with_model(outcome, answer, base, lowpass)
+    return replace(discovery, lead=lead, notes=(*discovery.notes, *lost))
 
 
 def _with_model(

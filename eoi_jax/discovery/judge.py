@@ -13,6 +13,7 @@ import numpy as np
 from jaxtyping import Float
 
 from eoi_jax.data.record import Record
+from eoi_jax.data.windows import steps_between_samples
 from eoi_jax.discovery.rules import RULES
 from eoi_jax.models.augmented import Placed
 from eoi_jax.models.plant import Plant
@@ -85,28 +86,35 @@ class Judge:
             records: that judge.
             plant: the declared model, fitted.
         """
-        shortest = min(len(record) for record in records)
+        step = steps_between_samples(records)
+        shortest, segment = _samples(records, step)
         fewest = max(_RULES.min_window, min(_RULES.min_window * plant.rows, shortest // 3))
-        if 2 * fewest > shortest:
+        if 2 * fewest > shortest or fewest > segment:
             return None
         block = shortest // _RULES.blocks + 3
-        whole_head = min(_RULES.start, plant.rows * block, shortest // 3)
+        whole_head = min(_RULES.start, plant.rows * block, shortest // 3, segment // 2)
+        whole_head = round(whole_head * step)
         whole = judged_runs(plant, records, whole_head)
         noise = sensor_noise(whole)
-        moving = [parts for parts in _RULES.windows if _moves(records, shortest // parts, noise)]
+        moving = [
+            parts
+            for parts in _RULES.windows
+            if _moves(records, round(shortest // parts * step), noise)
+        ]
         count = max(shortest // max(moving, default=min(_RULES.windows)), fewest)
         if 2 * count > shortest:
             return None
-        head = min(_RULES.start, count // 3)
-        judge = cls(records, count * records[0].sample_period, head, whole_head)
+        period = step * records[0].sample_period
+        head = min(_RULES.start, count // 3, segment // 2)
+        judge = cls(records, count * period, round(head * step), whole_head)
         growth = growth_that_rules(plant, whole, limit=_RULES.misled)
         if growth is None:
             return judge
-        period = records[0].sample_period
         longest = max(growth.window, 2.0 * _RULES.min_window * period)
         count = min(count, round(0.5 * longest / period))
+        head = min(head, count // 3)
         return cls(
-            records, count * period, min(_RULES.start, count // 3),
+            records, count * period, round(head * step),
             window_head(longest, plant, records), longest,
         )  # fmt: skip
 
@@ -196,6 +204,17 @@ class Judge:
 def _further_parameters(placed: Placed) -> int:
     """Parameters of a law beyond the one of a simpler law that it contains; 0 without such."""
     return len(placed.names) - 1 if placed.effect.contains else 0
+
+
+def _samples(records: Sequence[Record], step: float) -> tuple[int, int]:
+    """Samples of the shortest record, and of the shortest of their longest parts of known inputs.
+
+    Args:
+        records: that judge.
+        step: of the grid from a sample to the next.
+    """
+    parts = [max(stop - start for start, stop in record.input_segments()) for record in records]
+    return int(min(map(len, records)) / step), int(min(parts) / step)
 
 
 def _moves(records: Sequence[Record], count: int, noise: Float[np.ndarray, " ny"]) -> bool:

@@ -19,6 +19,7 @@ from benchmarks.measured.found_driven_cases import DRIVEN
 from benchmarks.measured.found_fresh_cases import FRESH
 from benchmarks.measured.found_late_cases import LATE
 from benchmarks.measured.found_latest_cases import LATEST
+from benchmarks.measured.found_mechanical_cases import MECHANICAL
 from benchmarks.measured.found_newest_cases import NEWEST
 from benchmarks.measured.found_sets import sets_directory
 from benchmarks.measured.found_short_cases import SHORT
@@ -102,8 +103,9 @@ def test_the_late_cases_are_all_set_aside():
     assert len(FRESH) == 11
     assert len(NEWEST) == 7
     assert len(LATEST) == 4
-    aside = (*LATE.values(), *FRESH.values(), *NEWEST.values(), *LATEST.values())
-    assert all(case.aside for case in aside)
+    assert len(MECHANICAL) == 5
+    later = LATE, FRESH, NEWEST, LATEST, MECHANICAL
+    assert all(case.aside for cases in later for case in cases.values())
 
 
 def test_an_absent_set_is_skipped_with_its_source(monkeypatch, tmp_path, capsys):

@@ -7,7 +7,7 @@ import eoi_jax as eoi
 from eoi_jax.data.masks import longest_run, over_samples, valid_steps
 from eoi_jax.data.resampling import own_period, own_segments
 from eoi_jax.data.spectrum import spectrum
-from eoi_jax.data.windows import driven_parts, start_samples
+from eoi_jax.data.windows import driven_parts, start_samples, steps_between_samples
 
 H, N = 0.1, 400
 TIME = H * np.arange(N)
@@ -208,6 +208,20 @@ def test_a_step_counts_where_all_that_enters_the_equation_was_measured():
 def test_the_start_of_a_run_is_long_enough_for_the_slowest_output():
     assert start_samples(eoi.Record(TIME, np.cos(TIME), Y), 2) == 50
     assert start_samples(record_of(y=every(40)), 2) == 120
+
+
+def test_the_start_of_a_run_has_as_many_samples_on_a_finer_grid():
+    """Samples 10 steps of the grid apart: a start of 50 steps would have five of them."""
+    times = np.arange(0.0, 40.0, H)
+    coarse = eoi.Record(times, np.cos(times), np.sin(times), hold="linear")
+    y = np.full((10 * len(times) - 9, 1), np.nan)
+    y[::10, 0] = np.sin(times)
+    grid = 0.1 * H * np.arange(len(y))
+    with pytest.warns(eoi.RecordWarning, match="is measured every 10 samples"):
+        fine = eoi.Record(grid, np.cos(grid), y, hold="linear")
+    assert steps_between_samples([coarse]) == 1.0
+    assert steps_between_samples([fine, coarse]) == 10.0
+    assert start_samples(fine, 2) == 10 * start_samples(coarse, 2) == 500
 
 
 def test_an_output_with_few_samples_is_named():

@@ -389,6 +389,14 @@ def test_the_draft_says_every_guess_and_the_alternatives(tmp_path, monkeypatch):
     assert re.search(r"Everything in it is a guess", text)
 
 
+def test_what_a_name_says_to_be_an_output_goes_before_what_only_moves(tmp_path):
+    """A tilt that was measured, and drives the ball: no name says what it is."""
+    written(tmp_path / "run.csv", t=T, tilt=np.cumsum(U) / N, position=Y)
+    text, _, _ = drafted(tmp_path / "run.csv", tmp_path / "run.toml")
+    assert 'outputs = ["position"]' in text
+    assert "# other columns: tilt; one that drives the output is an input" in text
+
+
 def test_a_file_elsewhere_is_named_by_its_whole_path_and_one_in_the_data_folder_is_not(
     tmp_path, monkeypatch
 ):

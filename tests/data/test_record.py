@@ -328,9 +328,35 @@ def test_what_is_wrong_is_named_with_its_rule_and_value(call, message):
         call()
 
 
+def in_bursts(count: int) -> np.ndarray:
+    """Eight samples every 2 ms, then a pause of 7 ms, as of a logger that writes."""
+    return np.cumsum(np.tile([2, 2, 2, 2, 2, 2, 2, 7], count)) / 1e3
+
+
+def by_turns(count: int) -> np.ndarray:
+    """Samples 10 and 30 ms apart by turns: two tasks that read one sensor."""
+    return np.cumsum(np.tile([10, 30], count)) / 1e3
+
+
+@pytest.mark.parametrize("stamps", [in_bursts(20), by_turns(80)])
+def test_where_a_tenth_of_the_spacings_would_be_gaps_there_are_none(stamps):
+    """No sample is moved, no input is unknown, and a part is taken as the whole is."""
+    y = np.cos(5.0 * stamps)
+    record = Record(stamps, np.sin(stamps), y, hold="linear")
+    assert record.input_segments() == [(0, len(record))]
+    np.testing.assert_allclose(record.time[record.output_valid[:, 0]], stamps, atol=1e-9)
+    np.testing.assert_array_equal(record.outputs[record.output_valid], y)
+    part = Record(stamps[40:100], np.sin(stamps[40:100]), y[40:100], hold="linear")
+    assert part.sample_period == pytest.approx(record.sample_period)
+    assert len(part.input_segments()) == 1
+
+
 def test_a_clock_whose_samples_never_touch_the_grid_is_an_error():
-    # Bursts of two samples: every third spacing is a gap, and few grid points are covered.
-    t = np.cumsum(np.tile([0.9, 1.0, 3.333], 4) + 1e-2 * np.arange(12)) * np.pi
+    # Bursts of two samples: every third spacing is a gap, and few grid points are covered. A grid
+    # that has every sample would need a step of a part of the smallest spacing.
+    spacing = np.tile([0.9, 1.0, 3.333], 4) + 1e-2 * np.arange(12)
+    spacing[4] = 1e-3
+    t = np.cumsum(spacing) * np.pi
     with pytest.raises(ValueError, match="`outputs` must have at least 8 valid samples, got "):
         Record(t, t, t)
 

@@ -7,10 +7,15 @@ import pytest
 from scipy.integrate import solve_ivp
 
 import eoi_jax as eoi
+from eoi_jax.discovery import curves
 from eoi_jax.discovery.curves import misses_a_law
+from eoi_jax.discovery.judge import Judged
 from eoi_jax.discovery.result import Added
+from eoi_jax.models.augmented import augmented, place
 from eoi_jax.models.effects import Curve, InputCurve, InternalOverflow
 from eoi_jax.models.effects.effect import At
+from eoi_jax.refinement.refine import refine_once
+from eoi_jax.simulation.validate import judged_runs
 
 PERIOD, COUNT, EACH = 0.05, 3000, 15
 NOISE = 1e-3
@@ -74,6 +79,30 @@ def test_curve_has_the_shape_of_what_is_missing(soft):
     changed = np.asarray(added.effect.changed(at_input(u), list(added.parameters.values())))
     through = soft.plant.parameters["b"] * changed
     np.testing.assert_allclose(through, 2.0 * np.tanh(0.5 * u), atol=0.03)
+
+
+@pytest.mark.slow
+@pytest.mark.long
+def test_a_curve_that_the_final_fit_does_not_tell_is_not_kept(soft, monkeypatch):
+    monkeypatch.setattr(curves, "tells_its_curve", lambda model: False)
+    found = found_of(softly)
+    assert soft.effects == ("input_curve",)
+    assert "input_curve" not in found.effects
+
+
+def steadily(t, x, u):
+    return [u - 0.8 * x[0]]
+
+
+@pytest.mark.parametrize(("rate", "told"), [(softly, True), (steadily, False)])
+def test_a_curve_is_told_where_some_parameter_of_it_is_known_to_half_its_value(rate, told):
+    """Of a heater that lacks none every parameter is noise."""
+    placed = place(HEATER, InputCurve((-6.0, -2.0, 2.0, 6.0)), 0)
+    plant = augmented(HEATER, [placed], dict.fromkeys(placed.names, 0.0))
+    fit = refine_once(plant, (measured(rate, 1),), None)
+    runs = judged_runs(fit.plant, measured(rate, 2)), None
+    assert curves.tells_its_curve(Judged(fit, (placed,), runs)) is told
+    assert curves.tells_its_curve(Judged(fit, (), runs))
 
 
 def at_input(u):

@@ -1,5 +1,6 @@
 """What decides in free runs: long runs, the start of a run, few parameters; a limited servo."""
 
+import re
 from dataclasses import replace
 
 import jax.numpy as jnp
@@ -10,7 +11,7 @@ from scipy.integrate import solve_ivp
 import eoi_jax as eoi
 from eoi_jax import effects
 from eoi_jax.discovery import in_free_runs
-from eoi_jax.discovery.free_run_evidence import long_run_ratio
+from eoi_jax.discovery.free_run_evidence import long_run_ratio, lost_on_held_out
 from eoi_jax.discovery.free_run_search import search_free_runs
 from eoi_jax.discovery.judge import (
     Judge,
@@ -75,6 +76,42 @@ def test_long_runs_decide_where_short_ones_miss_by_noise(answer):
     assert ratio_beyond_noise(*long_runs) <= long_run_ratio(answer) < 2.0 / 3.0
 
 
+def test_a_judge_counts_samples_not_steps_of_a_finer_grid():
+    """A start of a third of a window had a few noisy samples, and most of its error in it."""
+    coarse = released(2, 15.0, 40.0)
+    y = np.full((10 * len(coarse) - 9, 1), np.nan)
+    y[::10] = coarse.outputs
+    with pytest.warns(eoi.RecordWarning, match="is measured every 10 samples"):
+        fine = eoi.Record.from_period(
+            0.1 * coarse.sample_period, np.zeros((len(y), 0)), y, units={"y": "deg"}
+        )
+    judges = [Judge.of((record,), PENDULUM) for record in (coarse, fine)]
+    (one, other) = judges
+    assert one is not None
+    assert other is not None
+    assert other.window == pytest.approx(one.window, rel=0.05)
+    assert (other.head, other.whole_head) == (10 * one.head, 10 * one.whole_head)
+
+
+def driven(t, x, u, p):
+    del t
+    return p.gain * u - p.loss * x.y[0]
+
+
+@pytest.mark.parametrize(("kept", "judges"), [(9, False), (60, True)])
+def test_inputs_known_in_parts_shorter_than_any_run_judge_nothing(kept, judges):
+    """Where they are long enough, starts fit into them."""
+    time = 0.01 * np.arange(400)
+    u = np.sin(3.0 * time)
+    u[np.arange(400) % (kept + 20) >= kept] = np.nan
+    with pytest.warns(eoi.RecordWarning, match="Inputs are unknown"):
+        record = eoi.Record(time, u, np.cos(3.0 * time), hold="linear")
+    judge = Judge.of((record,), eoi.Plant(driven, {"gain": 1.0, "loss": 1.0}, 1))
+    assert (judge is not None) is judges
+    if judge is not None:
+        assert max(judge.head, judge.whole_head) < kept
+
+
 @pytest.mark.parametrize(("long_ratio", "effects_named"), [(0.6, ("coulomb_friction",)), (0.7, ())])
 def test_the_answer_says_that_long_runs_decided(monkeypatch, answer, long_ratio, effects_named):
     monkeypatch.setattr(in_free_runs, "long_run_ratio", lambda answer: long_ratio)
@@ -85,6 +122,32 @@ def test_the_answer_says_that_long_runs_decided(monkeypatch, answer, long_ratio,
     assert judged.effects == effects_named
     notes = [note for note in judged.notes if note.startswith("in short runs the predictions")]
     assert len(notes) == len(effects_named)
+
+
+@pytest.mark.slow
+def test_errors_on_records_that_no_model_describes_confirm_no_effect(monkeypatch, answer):
+    """Held out at another place: dry friction is nearer to them by chance, and both are lost."""
+    monkeypatch.setattr(in_free_runs, "long_run_ratio", lambda answer: 0.5)
+    elsewhere = released(2, 15.0, 40.0)
+    elsewhere = eoi.Record(
+        elsewhere.time, elsewhere.inputs, elsewhere.outputs + 200.0, input_names=(),
+        output_names=("angle",), units={"angle": "deg"},
+    )  # fmt: skip
+    judge = Judge.of((elsewhere,), PENDULUM)
+    assert judge is not None
+    base, best = (
+        replace(model, runs=judge.runs(model.refinement.plant))
+        for model in (answer.base, answer.best)
+    )
+    lost = replace(answer, base=base, fits=(best,), judge=judge)
+    (note,) = lost_on_held_out(lost)
+    assert re.search(r"angle is 187\S* to 215\S* deg there, -18\S* to 20\S* in the fit", note)
+    assert lost_on_held_out(answer) == []
+    found = eoi.discover(PENDULUM, released(1, 20.0, 0.0), elsewhere, ["coulomb_friction"])
+    judged = in_free_runs.answered(found, lost, None)
+    assert judged.effects == ()
+    assert judged.lead is not None
+    assert note in judged.notes
 
 
 def test_long_runs_do_not_decide_alone_where_short_ones_tell():
