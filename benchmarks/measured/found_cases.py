@@ -4,8 +4,8 @@ The files are not part of the repository (`found_sets`). Figures are those of `c
 mean squares of whole free runs and of runs that start again ten times a record, on the part that
 chose nothing. Eight more, of short records, stand in `found_short_cases`, eight of driven and
 swinging rigs in `found_driven_cases`, eight that are all set aside in `found_late_cases`, eleven
-more in `found_fresh_cases`, seven in `found_newest_cases`, four in `found_latest_cases`, and five
-with motors in `found_mechanical_cases`.
+more in `found_fresh_cases`, seven in `found_newest_cases`, four in `found_latest_cases`, five
+with motors in `found_mechanical_cases`, and four in `found_process_cases`.
 
 Six of the first thirteen cases are set aside (`aside`), to be opened once, at the end. They were
 drawn by `random.Random(20261127).sample(sorted(FIRST), 6)`.
@@ -27,6 +27,7 @@ from benchmarks.measured.found_late_cases import LATE
 from benchmarks.measured.found_latest_cases import LATEST
 from benchmarks.measured.found_mechanical_cases import MECHANICAL
 from benchmarks.measured.found_newest_cases import NEWEST
+from benchmarks.measured.found_process_cases import PROCESS
 from benchmarks.measured.found_sets import FoundSet, quarters, records, table
 from benchmarks.measured.found_short_cases import SHORT
 
@@ -407,4 +408,5 @@ FOUND: Mapping[str, FoundSet] = {
     **NEWEST,
     **LATEST,
     **MECHANICAL,
+    **PROCESS,
 }

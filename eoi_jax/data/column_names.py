@@ -34,6 +34,10 @@ _SURROUNDINGS = frozenset((
     "sun", "solar", "insolation", "irradiance", "irradiation", "sonne", "wind", "rain", "regen",
     "feed", "inlet", "inflow", "influent", "zulauf", "door", "vent",
 ))  # fmt: skip
+_DEGREES = frozenset(("°C", "degC", "K", "°F", "degF"))
+_TEMPERATURES = frozenset((
+    "temp", "temps", "temperature", "temperatures", "temperatur", "température", "temperatura",
+))  # fmt: skip
 _PORT = re.compile(r"[fipquvw](in|out)")  # Vin, Qout: of a converter, of a tank
 _ENDINGS = ("soll", "sollwert", "setpoint", "cmd", "ref", "consigne", "consigna")
 
@@ -92,6 +96,36 @@ def role_of_name(name: str) -> str:
         if word in _INPUT or word in _OUTPUT:
             return "input" if word in _INPUT else "output"
     return ""
+
+
+def is_temperature(name: str, unit: str) -> bool:
+    """Whether a column is a temperature, by its unit or a word of its name.
+
+    Args:
+        name: of a column.
+        unit: as the file gives it; empty if it gives none.
+    """
+    units = (unit.strip(), unit_of_name(name))
+    return any(known in _DEGREES for known in units) or any(
+        word in _TEMPERATURES for word in _words(name)
+    )
+
+
+def separate_drives(roles: dict[str, tuple[str, str]], limits: dict[str, float]) -> None:
+    """Make what stops at a limit an input, where there is none and another column is an output.
+
+    A pump cannot suck, a heater cannot cool. That other one is called an output.
+
+    Args:
+        roles: with reasons, by column; changed.
+        limits: of the columns that pile up at one.
+    """
+    guessed = [role for role, _ in roles.values()]
+    if "input" in guessed or not any(role_of_name(name) == "output" for name in roles):
+        return
+    for name, limit in limits.items():
+        if name in roles and roles[name][0] == "output" != role_of_name(name):
+            roles[name] = ("input", f"it stops at {limit:.6g}, as what drives does")
 
 
 def separate_references(roles: dict[str, tuple[str, str]], held: set[str]) -> None:

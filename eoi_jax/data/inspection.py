@@ -20,6 +20,7 @@ from eoi_jax.data.clipping import saturations
 from eoi_jax.data.column_names import (
     is_reference,
     role_of_name,
+    separate_drives,
     separate_references,
     unit_of_name,
 )
@@ -442,6 +443,7 @@ def _assign_roles(
         roles |= dict.fromkeys(
             undecided[len(first) :], ("output", "there is no evidence of its role")
         )
+    separate_drives(roles, {at.name: at.saturated[0][0] for at in channels if at.saturated})
     separate_references(roles, {channel.name for channel in channels if _is_held(channel)})
     labelled = [
         replace(channel, role=roles[channel.name][0], why=roles[channel.name][1])

@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from jaxtyping import Float
 
-from eoi_jax.data.column_names import role_of_name
+from eoi_jax.data.column_names import is_temperature, role_of_name
 from eoi_jax.data.readers.table import Table
 from eoi_jax.data.resampling import GridSettings
 
@@ -90,8 +90,7 @@ def find_clock(
         column: the time as the caller says; None: the most likely one.
     """
     if column is not None:
-        dates = table.columns[column].dtype.kind in "Mm"
-        factor, unit_reason = _unit(column, numbers[column], table.units.get(column, ""), dates)
+        factor, unit_reason = _unit(column, numbers[column], table)
         values = numbers[column] * factor
         return _clock_of(column, values, factor, f"{NAMED}; {unit_reason}", ())
     scores = {key: _score(key, values, table) for key, values in numbers.items()}
@@ -100,7 +99,7 @@ def find_clock(
         return Clock(None)
     column, values = likely[0], numbers[likely[0]]
     dates = table.columns[column].dtype.kind in "Mm"
-    factor, unit_reason = _unit(column, values, table.units.get(column, ""), dates)
+    factor, unit_reason = _unit(column, values, table)
     name_reason = "the file says so" if column == table.time else _reason(column, values, dates)
     if _runs_evenly(column, values, table):  # a signal that rises throughout is no second clock
         likely = [key for key in likely if _runs_evenly(key, numbers[key], table)]
@@ -166,13 +165,11 @@ def _reason(column: str, values: Float[np.ndarray, " time"], dates: bool) -> str
     return "it increases throughout" if is_rising else "it mostly increases, in equal steps"
 
 
-def _unit(
-    column: str, values: Float[np.ndarray, " time"], unit: str, dates: bool
-) -> tuple[float, str]:
+def _unit(column: str, values: Float[np.ndarray, " time"], table: Table) -> tuple[float, str]:
     """Seconds in a unit of the column, and the reason."""
-    if dates:
+    if table.columns[column].dtype.kind in "Mm":
         return 1.0, "read in seconds from the first"
-    declared = declared_unit(column, unit)
+    declared = declared_unit(column, table.units.get(column, ""))
     if declared is not None:
         return declared[1], f"in {declared[0]}, as the file says"
     first, step = float(values[0]), float(np.median(np.diff(values)))
@@ -188,6 +185,9 @@ def _unit(
         return 1.0, "whole numbers, uneven as those of samples taken by hand: taken as seconds"
     if whole_numbers and step > 0 and step % 60.0 == 0:
         return 1.0, f"whole numbers {step / 60.0:g} minutes apart are taken as seconds"
+    if whole_numbers and step > 1.0 and _warms(table):
+        unit, factor = ("s", 1.0) if step < 60.0 else ("ms", 1e-3)
+        return factor, f"whole numbers {step:g} apart beside a temperature are taken as {unit}"
     if whole_numbers and step >= 1000.0:
         return 1e-6, f"whole numbers {step:g} apart are taken as µs, which is a guess"
     if whole_numbers and step > 1.0:
@@ -195,6 +195,16 @@ def _unit(
     if whole_numbers:
         return 1.0, "it counts by ones: if these are samples, not seconds, give sample_period"
     return 1.0, "taken as seconds"
+
+
+def _warms(table: Table) -> bool:
+    """Whether a table has temperatures and no other output, by names and units: it is slow."""
+    answers = {
+        is_temperature(name, table.units.get(name, ""))
+        for name in table.columns
+        if is_temperature(name, table.units.get(name, "")) or role_of_name(name) == "output"
+    }
+    return answers == {True}
 
 
 def _clock_of(

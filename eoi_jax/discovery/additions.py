@@ -11,7 +11,7 @@ from eoi_jax.estimation.covariance import Certainty
 from eoi_jax.estimation.identify import Identification, estimate
 from eoi_jax.estimation.preparation import PreparedRecords
 from eoi_jax.models.augmented import Placed
-from eoi_jax.models.effects import ActuatorLag, InputDelay, SensorLag
+from eoi_jax.models.effects import ActuatorLag, ConstantOffset, InputDelay, Leak, SensorLag
 from eoi_jax.models.placements import ends
 from eoi_jax.models.plant import Plant
 from eoi_jax.refinement.result import Refinement
@@ -70,8 +70,27 @@ def uncertain_effects(added: Sequence[Added]) -> list[str]:
 
 
 def fit_notes(plant: Plant, added: Sequence[Added], fit: Identification) -> list[str]:
-    """`sensor_notes` and `sign_notes` of an answer."""
-    return [*sensor_notes(plant, added), *sign_notes(plant, fit)]
+    """`level_notes`, `sensor_notes` and `sign_notes` of an answer."""
+    return [*level_notes(plant, added), *sensor_notes(plant, added), *sign_notes(plant, fit)]
+
+
+def level_notes(plant: Plant, added: Sequence[Added]) -> list[str]:
+    """Notes on a leak beside an offset of the same output: both are a loss to one level.
+
+    Args:
+        plant: as it is declared.
+        added: to the model.
+    """
+    offsets = {item.output: item for item in added if isinstance(item.effect, ConstantOffset)}
+    notes = []
+    for item in added:
+        if isinstance(item.effect, Leak) and item.output in offsets:
+            (rate,), (offset,) = (
+                effect.parameters.values() for effect in (item, offsets[item.output])
+            )
+            unit = plant.units.get(item.output, "")
+            notes.append(FitNote(_LEVEL.format(item.output, f"{offset / rate:.3g} {unit}".strip())))
+    return notes
 
 
 def sensor_notes(plant: Plant, added: Sequence[Added]) -> list[str]:
@@ -121,6 +140,7 @@ def sign_notes(plant: Plant, fit: Identification) -> list[str]:
     ]
 
 
+_LEVEL = "leak and constant_offset of {} are together a loss to a level of {} that nothing measures"
 _TURNED = (
     "{} is {:.3g}, and its nominal value {:.3g} has the other sign: where that is impossible give "
     "it `bounds`, and doubt what was found beside it"

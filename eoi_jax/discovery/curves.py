@@ -267,6 +267,7 @@ def _nearest_laws(model: Judged) -> list[str]:
             if law.channel == placed.channel and law.against is None and law.through is None
             and type(law.effect).depends_on == placed.effect.depends_on
             and law.on_input == placed.on_input and not law.on_state and not law.effect.states
+            and isinstance(law.effect, AbstractTerm | AbstractInputEffect)
         ]  # fmt: skip
         shares = [_likeness(placed, values, law.effect, seen) for law in laws]
         laws_near = [

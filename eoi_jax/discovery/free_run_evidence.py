@@ -15,6 +15,8 @@ from eoi_jax.discovery.judge import (
 )
 from eoi_jax.discovery.remarks import FitNote
 from eoi_jax.discovery.rules import RULES
+from eoi_jax.models.augmented import Placed
+from eoi_jax.models.plant import Plant
 
 
 def lost_on_held_out(answer: FreeRunAnswer) -> list[str]:
@@ -98,3 +100,21 @@ _LOST = (
     "free runs of no model predict the held-out records better than a constant does, which says "
     "nothing of effects"
 )
+
+
+def surpasses(answer: FreeRunAnswer, plant: Plant, placed: Sequence[Placed]) -> bool:
+    """Whether an answer predicts better than a plant with other effects, by more than chance.
+
+    Of that plant the fit counts that the search has refined, if it came to it.
+    """
+    sites = {at.site for at in placed}
+    refined = [
+        trial.runs
+        for contest in answer.rounds
+        for trial in contest.trials
+        if {at.site for at in trial.placed} == sites
+    ]
+    return all(
+        answer.judge.prefers(answer.best.runs, runs)
+        for runs in refined or [answer.judge.runs(plant)]
+    )

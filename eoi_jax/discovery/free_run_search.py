@@ -7,8 +7,9 @@ parameters are biased hides right effects from both. The search:
    from the estimate of the passes and from nominal values, with each hold of the inputs that is
    possible; of these the one with the smallest free-run errors on the records that judge.
 2. Candidates: the effects, and pairs, of which a score test of the base says most (`remaining`),
-   and the set that the injection came to; an offset, and cells in series, in any case; laws that
-   are like a term of the declared model, in its place (`replacements`).
+   and the set that the injection came to; an offset, a loss to a level that nothing measures, and
+   cells in series, in any case; laws that are like a term of the declared model, in its place
+   (`replacements`).
 3. Each of the first few is added, and all parameters are refined again; of an effect with several
    forms also the further ones, as long as they fit better, and of one of which the score test has
    several maxima (the wave number of a ripple) from each.
@@ -349,14 +350,18 @@ class Search:
     def _without_turned(self, model: Judged) -> Judged:
         """A model without the declared terms whose place its effects have taken.
 
-        Cells in series have no parameter: nothing would be left where they turn all terms.
+        Cells in series have no parameter: nothing would be left where they turn all terms. A term
+        without which the records that judge are predicted worse stays: a level that is measured
+        from anywhere may have either sign.
         """
         names, plant = turned_terms(self.base, model), model.refinement.plant
         if not names or {*names, *plant.fixed} == set(plant.names):
             return model
         plant = plant.declared_anew(dict.fromkeys(names, 0.0), fixed=names)
         fit = _fitted(plant, model.placed, self.searched, model.refinement.window, self.judge)
-        return model if fit is None or self._of_unknown_size(fit) else fit
+        if fit is None or self._of_unknown_size(fit) or self.judge.needs(model, fit):
+            return model
+        return fit
 
     def _of_unknown_size(self, model: Judged) -> list[Placed]:
         """Effects of a model of which the records do not tell the size."""
@@ -400,17 +405,38 @@ class Search:
             following.append(item)
         return tuple(following)
 
-    def _with_only(self, placed: Sequence[Placed], model: Judged) -> Judged | None:
-        """The base with these effects, refined from the values of a model that has them."""
+    def _with_only(
+        self, placed: Sequence[Placed], model: Judged, opened: bool = False
+    ) -> Judged | None:
+        """The base with these effects, refined from the values of a model that has them.
+
+        Without the declared terms that it is without, unless these are opened again.
+        """
         base, values = self.base, model.refinement.parameters
         declared = base.refinement.plant
         declared = declared.with_parameters({name: values[name] for name in declared.names})
         further = tuple(item for item in placed if item not in base.placed)
         values = dict.fromkeys((name for item in further for name in item.names), 0.0) | values
         plant, effects = augmented(declared, further, values), (*base.placed, *further)
-        if further and (fixed := replaced_terms(declared, model.refinement.plant)):
+        fixed = () if opened else replaced_terms(declared, model.refinement.plant)
+        if further and fixed:
             plant = plant.declared_anew(fixed=fixed)
         return _fitted(plant, effects, self.searched, model.refinement.window, self.judge)
+
+    def _opened(self, placed: Sequence[Placed], model: Judged) -> Judged | None:
+        """`_with_only`, with the declared terms again that effects without a place now had turned.
+
+        A term stays left out where it does not lower the errors, or where the records do not tell
+        the size of an effect beside it: that one is in its place.
+        """
+        fit = self._with_only(placed, model)
+        if fit is None or not replaced_terms(self.base.refinement.plant, fit.refinement.plant):
+            return fit
+        trial = self._with_only(placed, fit, opened=True)
+        if trial is None or self._of_unknown_size(trial):
+            return fit
+        trial = self._without_turned(trial)
+        return trial if self.judge.needs(trial, fit) else fit
 
     def leanest(self, best: Judged) -> Judged:
         """The model without the effects that it can be without, largest ones first."""
@@ -419,7 +445,7 @@ class Search:
             return best
         leaner = []
         for effect in further:
-            fit = self._with_only([item for item in further if item is not effect], best)
+            fit = self._opened([item for item in further if item is not effect], best)
             if fit is not None and not self.judge.needs(best, fit):
                 leaner.append(fit)
         if not leaner:

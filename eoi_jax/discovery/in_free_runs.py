@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import replace
+from types import UnionType
 
 import numpy as np
 
@@ -23,6 +24,7 @@ from eoi_jax.discovery.free_run_evidence import (
     exchanged_ratio,
     long_run_ratio,
     lost_on_held_out,
+    surpasses,
 )
 from eoi_jax.discovery.free_run_search import (
     FreeRunAnswer,
@@ -69,41 +71,46 @@ def leaves_open(discovery: Discovery) -> bool:
     """Whether free runs are searched: without an answer, or with one that may stand in for another.
 
     Also where the injection lacks nothing, and free runs miss by more than noise. A disturbance in
-    time may stand in for what the library lacks, and a straight loss with a kink for one that
-    bends, which the injection does not try. Only records that are held out can judge, and the
-    score test of free runs knows no outputs that are functions of the states. Effects that explain
-    all but have no free run would be stood in for by others.
+    time may stand in for what the library lacks, a straight loss with a kink for one that bends,
+    which the injection does not try, and a loss to a constant level for a store that warms slowly.
+    Only records that are held out can judge, and the score test of free runs knows no outputs that
+    are functions of the states. Effects that explain all but have no free run would be stood in
+    for by others.
     """
     if discovery.in_sample or discovery.declared.nominal.has_algebraic:
         return False
     if any(item.reason == Reason.NO_FREE_RUN for item in discovery.ranking):
         return False
-    code = discovery.status.code
+    code, runs = discovery.status.code, discovery.windows_after or discovery.after
+    is_small = runs is None or bool(np.all(runs.nrmse < _RULES.small))
     if code == "nothing_missing":
-        runs = discovery.windows_after or discovery.after
-        if runs is None or np.all(runs.nrmse < _RULES.small):
+        if runs is None or is_small:
             return False
         # What is read as noise off a few samples may be motion.
         lost = bool(np.any(runs.nrmse > _RULES.useless))
         return lost or bool(beyond_noise(runs, discovery.held_out))
-    return code in ("unexplained", "no_data") or (
-        code == "complete" and _stands_in(discovery.added)
-    )
+    doubted = _stands_in(discovery.added) or (_may_be_store(discovery.added) and not is_small)
+    return code in ("unexplained", "no_data") or (code == "complete" and doubted)
 
 
 def _stands_in(added: Sequence[Added]) -> bool:
-    """Whether effects may stand in for others: a disturbance in time, a loss with a kink."""
+    """Whether effects stand in for others: a disturbance in time, a loss with a kink.
+
+    An overflow beside an offset or a leak is one, in place of a loss that bends.
+    """
     in_time = any(isinstance(item.effect, Drift | SinusoidalDisturbance) for item in added)
-    return in_time or _is_kinked_line(added)
+    return in_time or _share_output(added, Overflow, ConstantOffset | Leak)
 
 
-def _is_kinked_line(added: Sequence[Added]) -> bool:
-    """Whether an overflow stands beside an offset or a leak of the same output: a bent loss."""
-    kinked, straight = (
-        {item.output for item in added if isinstance(item.effect, kinds)}
-        for kinds in (Overflow, ConstantOffset | Leak)
-    )
-    return bool(kinked & straight)
+def _may_be_store(added: Sequence[Added]) -> bool:
+    """Whether a leak stands beside an offset: a store that warms slowly is lost to as a level."""
+    return _share_output(added, Leak, ConstantOffset)
+
+
+def _share_output(added: Sequence[Added], *kinds: type | UnionType) -> bool:
+    """Whether effects of two kinds act on one output."""
+    outputs = [{item.output for item in added if isinstance(item.effect, kind)} for kind in kinds]
+    return bool(set.intersection(*outputs))
 
 
 def with_free_runs(
@@ -135,8 +142,11 @@ def with_free_runs(
     answer = search_free_runs(starts, variants, effects, further, rival, alpha)
     if answer is None:
         return discovery
-    outcome = answered(discovery, answer, lowpass)
     justified = rival is not None and not _stands_in(discovery.added)
+    doubted = justified and _may_be_store(discovery.added)
+    if doubted and not surpasses(answer, discovery.plant, placed_effects(discovery)):
+        return discovery
+    outcome = answered(discovery, answer, lowpass)
     return discovery if justified and _contradicts_injection(outcome, discovery) else outcome
 
 

@@ -1,5 +1,7 @@
 """Effects in place of a term of the declared model: drag with the square, no viscous friction.
 
+And a loss to a level that nothing measures, which goes beside its terms.
+
 Along a record the effect and the term may be nearly in proportion. The records of the fit then do
 not tell one from the other, nor the size of the effect beside the term; but elsewhere both predict
 otherwise. With the effect in place of the term the model has as many parameters as before.
@@ -14,7 +16,7 @@ from eoi_jax.discovery.additions import size_is_known
 from eoi_jax.discovery.judge import Judged
 from eoi_jax.discovery.rules import RULES
 from eoi_jax.models.augmented import Placed, added_effects, augmented
-from eoi_jax.models.effects import PRODUCTS
+from eoi_jax.models.effects import PRODUCTS, ConstantOffset, Leak
 from eoi_jax.models.effects.effect import AbstractEffect, AbstractTerm
 from eoi_jax.models.placements import placements
 from eoi_jax.models.plant import Plant
@@ -31,7 +33,7 @@ def replacements(model: Judged, effects: Sequence[AbstractEffect]) -> list[Model
     """Models with an effect in place of a term, which its parameter at zero leaves out.
 
     Effects of one gain are tried that have most in common with a term along the free runs; those
-    first that have more.
+    first that have more. Losses to levels follow.
 
     Args:
         model: refined; what was added to it stays.
@@ -53,7 +55,29 @@ def replacements(model: Judged, effects: Sequence[AbstractEffect]) -> list[Model
             whole = augmented(plant, (law,), {law.names[0]: gain})
             models.append((likeness, (whole.declared_anew({name: 0.0}, fixed=(name,)), (law,))))
     models.sort(key=lambda item: -item[0])
-    return [model for _, model in models[: _RULES.tried]]
+    replaced = [model for _, model in models[: _RULES.tried]]
+    return replaced + _losses_to_levels(plant, runs, effects)
+
+
+def _losses_to_levels(
+    plant: Plant, runs: LinearisedRuns, effects: Sequence[AbstractEffect]
+) -> list[Model]:
+    """Models with a loss of an output to a constant level: a leak together with an offset.
+
+    Heat goes to the neighbours, to the ground, to a store so large that it stays as it is. From a
+    leak alone the level would be the zero of the scale, and from an offset alone the time constants
+    would stay: a score test, which holds them, shows neither.
+    """
+    leaks, offsets = (
+        {at.output: at for at in placements(plant, [e for e in effects if isinstance(e, kind)])}
+        for kind in (Leak, ConstantOffset)
+    )
+    pairs = [(leak, offsets[output]) for output, leak in leaks.items()
+             if output in offsets and leak.effect.shows(runs.signal_statistics(leak))]  # fmt: skip
+    return [
+        (augmented(plant, pair, {name: 0.0 for at in pair for name in at.names}), pair)
+        for pair in pairs
+    ]
 
 
 def replaced_terms(declared: Plant, plant: Plant) -> tuple[str, ...]:

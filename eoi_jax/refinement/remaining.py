@@ -19,7 +19,7 @@ from eoi_jax.data.holds import made_alike
 from eoi_jax.data.record import Record
 from eoi_jax.estimation.holdout import check_scored_records, held_out_records
 from eoi_jax.models.augmented import Placed, augmented
-from eoi_jax.models.effects import rare, standard
+from eoi_jax.models.effects import ConstantOffset, rare, standard
 from eoi_jax.models.effects.effect import AbstractEffect
 from eoi_jax.models.placements import placements
 from eoi_jax.models.plant import Plant
@@ -169,7 +169,7 @@ def remaining(
     substeps = refinement.substeps if substeps is None else substeps
     runs = LinearisedRuns.of(refinement, records, spans, substeps)
     placed_effects = [effect for effect in placements(plant, chosen) if is_tested(effect.effect)]
-    tries = [effect for placed in placed_effects for effect in runs.tries(placed)]
+    tries = _told_from_offsets([effect for item in placed_effects for effect in runs.tries(item)])
     shares = [runs.share((effect,)) for effect in tries]
     ranking = [runs.candidate((effect,), len(tries)) for effect in _best(tries, shares)]
     maxima = [runs.candidate((effect,), len(tries)) for effect in _further_maxima(tries, shares)]
@@ -197,6 +197,26 @@ def _trials(
         fit = refine(plant, refinement.records, window=window, substeps=substeps)
         trials.append(Trial(candidate, fit, judged_runs(fit.plant, validation_records)))
     return tuple(trials)
+
+
+def _told_from_offsets(tries: Sequence[Try], share: float = 0.01) -> list[Try]:
+    """Without effects of inputs that do what a constant offset does, which is plainer.
+
+    Of an input that stands still, as the temperature of a room, a square, a dead zone and a limit
+    are one and the same offset. `share` is that of their power that must be something else.
+    """
+    offsets = [attempt.columns for attempt in tries
+               if isinstance(attempt.placed.effect, ConstantOffset)]  # fmt: skip
+    if not offsets:
+        return list(tries)
+    directions, _ = np.linalg.qr(np.concatenate(offsets, axis=1))
+
+    def is_told(attempt: Try) -> bool:
+        columns = attempt.columns
+        remainder = columns - directions @ (directions.T @ columns)
+        return bool(np.sum(remainder**2) > share * np.sum(columns**2))
+
+    return [attempt for attempt in tries if not attempt.placed.on_input or is_told(attempt)]
 
 
 def _best(tries: Sequence[Try], shares: Sequence[float | None]) -> list[Try]:

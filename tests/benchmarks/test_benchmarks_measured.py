@@ -21,6 +21,7 @@ from benchmarks.measured.found_late_cases import LATE
 from benchmarks.measured.found_latest_cases import LATEST
 from benchmarks.measured.found_mechanical_cases import MECHANICAL
 from benchmarks.measured.found_newest_cases import NEWEST
+from benchmarks.measured.found_process_cases import PROCESS
 from benchmarks.measured.found_sets import sets_directory
 from benchmarks.measured.found_short_cases import SHORT
 
@@ -104,7 +105,8 @@ def test_the_late_cases_are_all_set_aside():
     assert len(NEWEST) == 7
     assert len(LATEST) == 4
     assert len(MECHANICAL) == 5
-    later = LATE, FRESH, NEWEST, LATEST, MECHANICAL
+    assert len(PROCESS) == 4
+    later = LATE, FRESH, NEWEST, LATEST, MECHANICAL, PROCESS
     assert all(case.aside for cases in later for case in cases.values())
 
 

@@ -272,6 +272,35 @@ def test_a_clock_is_known_by_its_name_without_unit_and_path(tmp_path, name):
     assert found.clock.backwards == (1, N // 2)
 
 
+@pytest.mark.parametrize(
+    ("step", "name", "seconds"),
+    [(3, "temp", 1.0), (10, "T_degC", 1.0), (1000, "temp", 1e-3), (3, "speed", 1e-3),
+     (1000, "speed", 1e-6)],
+)  # fmt: skip
+def test_whole_numbers_beside_a_temperature_are_no_fast_clock(tmp_path, step, name, seconds):
+    """Nobody logs an oven every 3 ms. A motor that gets warm is one with a speed."""
+    columns = {"time": step * np.arange(N), "u": U, name: Y}
+    assert inspect(written(tmp_path / "run.csv", **columns)).clock.factor == seconds
+    columns |= {"speed": Y, "motor_temp": Y}
+    also = inspect(written(tmp_path / "more.csv", **columns))
+    assert also.clock.factor == (1e-3 if step < 1000 else 1e-6)
+
+
+def test_what_stops_at_a_limit_beside_an_output_drives_it(tmp_path):
+    """A pump cannot suck. What moves as smoothly without a limit may answer as well."""
+    command = 5.0 + 10.0 * np.sin(0.05 * np.arange(N))
+    flow = np.maximum(command, 0.0)
+    level = np.cumsum(flow)
+    limited = inspect(written(tmp_path / "run.csv", t=T, flow=flow, level=level))
+    assert (limited.inputs, limited.outputs) == (("flow",), ("level",))
+    assert "stops at 0" in next(at.why for at in limited.channels if at.name == "flow")
+    assert not any("looks like an input" in line for line in limited.advice)
+    free = inspect(written(tmp_path / "free.csv", t=T, flow=command, level=level))
+    assert (free.inputs, free.outputs) == ((), ("flow", "level"))
+    unnamed = inspect(written(tmp_path / "unnamed.csv", t=T, flow=flow, gas=level))
+    assert unnamed.inputs == ()
+
+
 def test_a_file_without_a_clock_has_none_in_json_either(tmp_path):
     found = inspect(written(tmp_path / "run.csv", u=U, y=Y))
     clock = found.summary()["clock"]

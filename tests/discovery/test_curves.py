@@ -141,3 +141,15 @@ def test_effects_that_are_asked_for_are_the_only_ones():
     records = (measured(softly, 1), measured(softly, 2))
     found = eoi.discover(HEATER, *records, effects=["input_saturation"])
     assert not any(isinstance(added.effect, Curve | InputCurve) for added in found.added)
+
+
+def waving(t, x, u):
+    return [u - 0.5 * x[0] - 0.6 * np.sin(2.5 * x[0])]
+
+
+@pytest.mark.slow
+@pytest.mark.long
+def test_a_curve_of_the_output_is_compared_with_laws_of_a_term_alone():
+    # A capacity that changes with the output divides all terms: it is no law of this curve.
+    found = found_of(waving)
+    assert "curve" in found.effects

@@ -200,6 +200,18 @@ def test_a_kink_beside_a_straight_loss_may_stand_for_a_loss_that_bends(laws, dou
     assert leaves_open(complete) == doubted
 
 
+@pytest.mark.parametrize(("error", "doubted"), [(0.005, False), (0.05, True)])
+def test_a_loss_to_a_level_may_stand_for_a_store_where_something_is_left(error, doubted):
+    answer = discovery()
+    pair = tuple(
+        Added(law, "position", {}, {}, "") for law in (effects.Leak(), effects.ConstantOffset())
+    )
+    complete = replace(answer, added=pair, status=Status("complete", ""), in_sample=False)
+    assert complete.after is not None
+    runs = replace(complete.after, nrmse=np.array([error]))
+    assert leaves_open(replace(complete, after=runs, windows_after=None)) == doubted
+
+
 @pytest.mark.parametrize("in_sample", [False, True])
 def test_a_model_without_an_estimate_is_searched_in_free_runs_where_records_are_held_out(in_sample):
     """Where noise hides the motion from the passes, free runs may show it."""

@@ -6,9 +6,11 @@ from scipy.integrate import solve_ivp
 
 import eoi_jax as eoi
 from eoi_jax import effects
+from eoi_jax.discovery.additions import level_notes
 from eoi_jax.discovery.free_run_search import Search, search_free_runs
 from eoi_jax.discovery.judge import Judge, Judged
 from eoi_jax.discovery.replacements import replaced_terms, replacements
+from eoi_jax.discovery.result import Added
 from eoi_jax.models.augmented import augmented, place
 from eoi_jax.refinement.refine import refine_once
 
@@ -113,6 +115,138 @@ def test_terms_stay_where_an_effect_without_parameter_has_turned_all_of_them(mon
     assert fit is not None
     assert fit.placed == (cells,)
     assert fit.refinement.plant.fixed == ()
+
+
+TANK = eoi.Plant(lambda t, x, u, p: p.gain * u - p.decay * x.y[0] + p.level,
+                 {"gain": 1.0, "decay": 0.5, "level": 0.5}, 1, inputs=("flow",),
+                 outputs=("height",))  # fmt: skip
+
+
+def tank_search(cubic, level):
+    """Two tanks whose outflow may grow with the cube of the height, and a search on them."""
+    law, parts = place(TANK, effects.CubicDamping(), 0), []
+    true = TANK.with_parameters({"gain": 2.0, "decay": 0.5, "level": level})
+    true = augmented(true, (law,), {"cubic_damping": cubic})
+    for seed in (1, 2):
+        draw, time = np.random.default_rng(seed), 0.1 * np.arange(300)
+        flow = np.repeat(draw.uniform(0.5, 2.0, 10), 30)
+        height = eoi.simulate(true, time, flow, hold="zero").outputs
+        noisy = height + 2e-3 * draw.standard_normal(height.shape)
+        parts.append(eoi.Record(time, flow, noisy, hold="zero", input_names=("flow",),
+                                output_names=("height",)))  # fmt: skip
+    judge = Judge.of((parts[1],), TANK)
+    assert judge is not None
+    search = Search.begun([TANK], (parts[0],), judge)
+    assert search is not None
+    return search, law
+
+
+def test_a_turned_term_stays_where_it_predicts_better(monkeypatch):
+    # A level may have either sign: that effects have turned it is no reason to leave it out.
+    search, law = tank_search(0.3, -0.4)
+    turned = lambda base, model: ("level",)  # noqa: E731
+    monkeypatch.setattr("eoi_jax.discovery.free_run_search.turned_terms", turned)
+    plant = augmented(search.base.refinement.plant, (law,), {"cubic_damping": 0.0})
+    fit = search.fitted(plant, (law,), search.base)
+    assert fit is not None
+    assert fit.refinement.plant.fixed == ()
+    assert fit.refinement.parameters["level"] == pytest.approx(-0.4, abs=0.05)
+
+
+def test_a_term_is_there_again_when_the_effect_in_its_place_goes():
+    search, law = tank_search(0.3, 0.8)
+    offset = place(TANK, effects.ConstantOffset(), 0)
+    plant = augmented(search.base.refinement.plant, (law, offset),
+                      {"cubic_damping": 0.0, "constant_offset": 0.5})  # fmt: skip
+    model = search.fitted(plant.declared_anew({"level": 0.0}, fixed=("level",)),
+                          (law, offset), search.base)  # fmt: skip
+    assert model is not None
+    assert replaced_terms(TANK, model.refinement.plant) == ("level",)
+    leanest = search.leanest(model)
+    assert leanest.placed == (law,)
+    assert leanest.refinement.plant.fixed == ()
+    assert leanest.refinement.parameters["level"] == pytest.approx(0.8, abs=0.05)
+
+
+ROOM = eoi.Plant(lambda t, x, u, p: p.heating * u[0] - p.loss * (x.y[0] - u[1]),
+                 {"heating": 0.1, "loss": 0.05}, 1, inputs=("power", "outdoor"),
+                 outputs=("indoor",), units={"indoor": "°C", "outdoor": "°C"})  # fmt: skip
+
+
+def inhabited_room(seed, losses):
+    """Eight days of a room by hours, heated twice a day; what people do is not recorded."""
+    draw, time = np.random.default_rng(seed), np.arange(192.0)
+    hour = time % 24.0
+    heated = ((hour > 6.0) & (hour < 9.0)) | ((hour > 15.0) & (hour < 23.0))
+    power = np.where(heated, 1.5 + 0.3 * draw.standard_normal(192), 0.0)
+    outdoor = np.repeat(draw.uniform(0.0, 10.0, 16), 12)
+    people = np.zeros(192)
+    for k in range(1, 192):
+        people[k] = 0.9 * people[k - 1] + 0.436 * draw.standard_normal()
+    true = augmented(ROOM.with_parameters({"heating": 1.0, "loss": 0.05}), losses,
+                     {"leak": 0.6, "constant_offset": 0.6 * 18.0})  # fmt: skip
+    driven = np.column_stack([power + 0.3 * people, outdoor])
+    indoor = eoi.simulate(true, time, driven, hold="zero", initial=[[17.0]]).outputs
+    return eoi.Record(time, np.column_stack([power, outdoor]), indoor, hold="zero",
+                      input_names=ROOM.inputs, output_names=ROOM.outputs,
+                      units=ROOM.units)  # fmt: skip
+
+
+@pytest.mark.slow
+@pytest.mark.long
+def test_a_loss_to_a_level_that_nothing_measures_is_no_second_store():
+    # To the neighbours at 18 °C goes twelve times as much heat for each kelvin as to the outdoors.
+    losses = [place(ROOM, kind(), 0) for kind in (effects.Leak, effects.ConstantOffset)]
+    records = [inhabited_room(seed, losses) for seed in (2, 52)]
+    tried = [effects.Leak(), effects.ConstantOffset(), effects.Radiation(), effects.InputRate(),
+             effects.SecondNode(), effects.Product("u", "y"), effects.Product("y", "y"),
+             effects.InputDelay(), effects.ActuatorLag()]  # fmt: skip
+    answer = search_free_runs([ROOM], [((records[0],), (records[1],))], tried)
+    assert answer is not None
+    assert {at.effect.name for at in answer.best.placed} == {"leak", "constant_offset"}
+    values = answer.best.refinement.parameters
+    assert values["constant_offset"] / values["leak"] == pytest.approx(18.0, abs=1.0)
+
+
+def furnished_room(seed, lacking, values):
+    """150 hours of a room whose outdoor temperature changes slowly, with noise of half a kelvin."""
+    draw, time = np.random.default_rng(seed), 0.5 * np.arange(300.0)
+    power = np.repeat(draw.choice([0.0, 8.0, 20.0], 16), 20)[:300]
+    outdoor = np.repeat(draw.uniform(0.0, 10.0, 13), 24)[:300]
+    inputs = np.column_stack([power, np.convolve(outdoor, np.ones(8) / 8.0, mode="same")])
+    true = augmented(ROOM, [place(ROOM, kind(), 0) for kind in lacking], values)
+    indoor = eoi.simulate(true, time, inputs, hold="zero", initial=[[17.0]]).outputs
+    noise = 0.5 * draw.standard_normal(indoor.shape)
+    return eoi.Record(time, inputs, indoor + noise, hold="zero", input_names=ROOM.inputs,
+                      output_names=ROOM.outputs, units=ROOM.units)  # fmt: skip
+
+
+@pytest.mark.slow
+@pytest.mark.long
+@pytest.mark.parametrize(
+    ("lacking", "values", "names"),
+    [
+        # Its time constant is 200 hours: the injection takes it for a level.
+        ([effects.SecondNode], {"second_node_exchange": 0.2, "second_node_rate": 0.005},
+         {"second_node"}),
+        ([effects.Leak, effects.ConstantOffset], {"leak": 0.3, "constant_offset": 5.4},
+         {"leak", "constant_offset"}),
+    ],
+)  # fmt: skip
+def test_a_store_that_warms_slowly_is_no_level_and_a_level_no_store(lacking, values, names):
+    fit, held = (furnished_room(seed, lacking, values) for seed in (3, 53))
+    found = eoi.discover(ROOM, fit, validation=held)
+    assert set(found.effects) == names
+
+
+def test_the_level_of_such_a_loss_is_told():
+    def added(kind, name, value):
+        return Added(kind(), "indoor", {name: value}, {name: 0.01 * value}, "")
+
+    leak, offset = added(effects.Leak, "leak", 0.6), added(effects.ConstantOffset, "offset", 10.8)
+    (note,) = level_notes(ROOM, [offset, leak])
+    assert "a loss to a level of 18 °C" in note
+    assert level_notes(ROOM, [leak]) == level_notes(ROOM, [offset]) == []
 
 
 @pytest.mark.slow

@@ -221,3 +221,24 @@ def test_internal_states_and_several_runs_are_followed():
     assert found.best.names == ("drift",)
     # Found from windows: in each, what time adds since the start of the record.
     assert found.best.values["drift"] == pytest.approx(0.02, rel=0.3)
+
+
+@pytest.mark.parametrize(("swing", "told"), [(0.05, False), (5.0, True)])
+def test_an_input_that_stands_still_shows_no_effect_but_an_offset(swing, told):
+    # A box between a heater and a room, into which something else brings 0.3 K/s.
+    box = eoi.Plant(lambda t, x, u, p: p.gain * u[0] - p.loss * (x.y[0] - u[1]),
+                    {"gain": 1.0, "loss": 0.05}, 1, ("heater", "room"), ("air",))  # fmt: skip
+    draw, time = np.random.default_rng(1), np.arange(600.0)
+    room = 20.0 + swing * np.repeat(draw.standard_normal(20), 30)
+    u = np.column_stack([np.repeat(draw.integers(0, 2, 60), 10), room])
+    hidden = augmented(box, [place(box, effects.ConstantOffset(), 0)], {"constant_offset": 0.3})
+    air = eoi.simulate(hidden, time, u, hold="zero", initial=[[20.0]]).outputs
+    air = air + 0.02 * draw.standard_normal(air.shape)
+    record = eoi.Record(time, u, air, hold="zero", input_names=("heater", "room"),
+                        output_names=("air",))  # fmt: skip
+    tried = [effects.InputQuadratic(odd=True), effects.InputDeadZone(), effects.ConstantOffset()]
+    found = remaining(refine(box, record), tried)
+    at_room = [candidate.placed[0].effect.name for candidate in found.ranking
+               if candidate.placed[0].on_input and candidate.placed[0].channel == 1]  # fmt: skip
+    assert bool(at_room) is told
+    assert "constant_offset" in [candidate.names[0] for candidate in found.ranking]
