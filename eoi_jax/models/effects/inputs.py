@@ -117,7 +117,10 @@ class CurrentLimit(AbstractInputEffect):
         return "of a position" if self.of_position else "of a speed"
 
     def fits(self, plant: Plant, output: int) -> bool:
-        return len(plant.outputs) == 1 and plant.degrees[0] == 1 + self.of_position
+        """A motion, or what neither kind nor unit tells."""
+        name, moving = plant.outputs[0], "position" if self.of_position else "speed"
+        moves = plant.kinds[name] in (moving, plant.units.get(name, ""))  # both "" if not known
+        return moves and len(plant.outputs) == 1 and plant.degrees[0] == 1 + self.of_position
 
     def shows(self, seen: Seen) -> bool:
         return bool(np.any(self._speed(seen)))
