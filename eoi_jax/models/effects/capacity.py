@@ -60,7 +60,8 @@ class VaryingCapacity(AbstractCascade):
     def fits(self, plant: Plant, output: int) -> bool:
         jumps = plant.jumps
         sticks = jumps[output].any() or jumps[:, output].any()
-        return plant.degrees[output] > 0 and not sticks
+        stored = plant.kinds[plant.outputs[output]] not in ("force", "flow", "acceleration")
+        return plant.degrees[output] > 0 and stored and not sticks
 
     def shows(self, seen: Seen) -> bool:
         """A power of a positive output, an even law of one that takes both signs."""

@@ -42,6 +42,13 @@ def test_all_that_acts_on_the_output_is_divided(law):
             assert slope[0] == pytest.approx(expected, rel=1e-12)
 
 
+def test_what_is_not_stored_has_no_capacity():
+    force = eoi.Plant(tank, {"gain": 1.0, "outflow": 0.8}, 1, ("v",), ("f",), kinds={"f": "force"})
+    for effect in (effects.VaryingCapacity(), effects.RateAsymmetry()):
+        assert effect.fits(TANK, 0)
+        assert not effect.fits(force, 0)
+
+
 def test_the_equation_has_it_in_front_of_all():
     capacity = effects.VaryingCapacity("linear")
     at = place(TANK, capacity, 0)
