@@ -8,7 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from eoi_jax._checks import check_choice
-from eoi_jax.models.effects.effect import AbstractCascade, Grid, Parameter, Seen, turns
+from eoi_jax.models.effects.effect import AbstractCascade, Grid, Parameter, Seen, sticks, turns
 from eoi_jax.models.plant import Plant
 
 _FORMS = ("linear", "even", "power")
@@ -25,7 +25,7 @@ class VaryingCapacity(AbstractCascade):
     |---|---|---|
     | linear | 1 + a y | a heat capacity, walls that lean |
     | even | 1 + a y² | inertia and inductance, alike in both directions |
-    | power | \|y\|^n | a cone (n = 2), a trough (n = 1); of a level that is never zero |
+    | power | \|y\|^n | a cone (n = 2), a trough (n = 1); over C(1), of a level that is never zero |
 
     Attributes:
         law: "linear", "even" or "power".
@@ -43,7 +43,7 @@ class VaryingCapacity(AbstractCascade):
     rarity = 2.0  # it bends all that acts, and may stand in for a law of one of these
     depends_on = "y"
     only_in_free_runs = True
-    needs = "an output that is a state, without dry friction"
+    needs = "an output that is stored (no force, flow or acceleration), without dry friction"
 
     def __post_init__(self) -> None:
         check_choice("law", self.law, _FORMS)
@@ -58,10 +58,8 @@ class VaryingCapacity(AbstractCascade):
         return (Parameter("exponent" if self.law == "power" else "", unit),)
 
     def fits(self, plant: Plant, output: int) -> bool:
-        jumps = plant.jumps
-        sticks = jumps[output].any() or jumps[:, output].any()
         stored = plant.kinds[plant.outputs[output]] not in ("force", "flow", "acceleration")
-        return plant.degrees[output] > 0 and stored and not sticks
+        return plant.degrees[output] > 0 and stored and not sticks(plant, output)
 
     def shows(self, seen: Seen) -> bool:
         """A power of a positive output, an even law of one that takes both signs."""
@@ -85,10 +83,6 @@ class VaryingCapacity(AbstractCascade):
         if self.law == "power":
             return jnp.maximum(jnp.abs(y), np.finfo(float).tiny) ** shape[0]
         return jnp.maximum(1.0 + shape[0] * (y if self.law == "linear" else y**2), self.smallest)
-
-    def rates(self, model: Callable[[Any, bool], Any], y: Any, z: Any, shape: Any) -> Any:
-        del model, y, shape
-        return z
 
 
 class RateAsymmetry(AbstractCascade):
@@ -115,7 +109,3 @@ class RateAsymmetry(AbstractCascade):
         del z
         rate = model(y, True)
         return rate + shape[0] * jnp.abs(rate)
-
-    def rates(self, model: Callable[[Any, bool], Any], y: Any, z: Any, shape: Any) -> Any:
-        del model, y, shape
-        return z

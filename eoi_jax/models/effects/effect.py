@@ -452,9 +452,8 @@ class AbstractCascade(AbstractEffect):
             shape: the shape parameters.
         """
 
-    @abstractmethod
     def rates(self, model: Callable[[Any, bool], Any], y: Any, z: Any, shape: Any) -> Any:
-        """dz/dt of the internal states, shape (states,).
+        """dz/dt of the internal states, shape (states,); nothing where it has none.
 
         Args:
             model: as of `slope`.
@@ -462,6 +461,8 @@ class AbstractCascade(AbstractEffect):
             z: internal states of the effect, shape (states,).
             shape: the shape parameters.
         """
+        del model, y, shape
+        return z
 
 
 def internal_names(plant: Plant) -> tuple[str, ...]:
@@ -476,6 +477,11 @@ def internal_names(plant: Plant) -> tuple[str, ...]:
 def mechanical(plant: Plant, output: int) -> bool:
     """Whether the output is a position: its velocity is a state."""
     return plant.degrees[output] >= 2
+
+
+def sticks(plant: Plant, output: int) -> bool:
+    """Whether dry friction acts on the output, or with its velocity."""
+    return bool(plant.jumps[output].any() or plant.jumps[:, output].any())
 
 
 def turns(values: Float[np.ndarray, " samples"], share: float = 0.01) -> bool:

@@ -11,7 +11,7 @@ from jaxtyping import Float
 
 from eoi_jax._checks import check, is_whole
 from eoi_jax.data.recursion import states
-from eoi_jax.models.effects.effect import AbstractCascade, Grid, Parameter, Seen
+from eoi_jax.models.effects.effect import AbstractCascade, Grid, Parameter, Seen, sticks
 from eoi_jax.models.effects.inputs import lag_times
 from eoi_jax.models.plant import Plant
 from eoi_jax.models.streams import stream_inputs
@@ -139,8 +139,8 @@ class SensorLag(AbstractCascade):
     )
 
     def fits(self, plant: Plant, output: int) -> bool:
-        jumps = plant.jumps  # dry friction sticks at a measured velocity only
-        if plant.degrees[output] == 0 or jumps[output].any() or jumps[:, output].any():
+        # Dry friction sticks at a measured velocity only.
+        if plant.degrees[output] == 0 or sticks(plant, output):
             return False
         return plant.degrees[output] == 1 or bool(plant.inputs) or len(plant.outputs) > 1
 
@@ -194,9 +194,7 @@ class SensorCurve(AbstractCascade):
     needs = "an output of relative degree one or two, without dry friction"
 
     def fits(self, plant: Plant, output: int) -> bool:
-        jumps = plant.jumps
-        sticks = jumps[output].any() or jumps[:, output].any()
-        return plant.degrees[output] in (1, 2) and not sticks
+        return plant.degrees[output] in (1, 2) and not sticks(plant, output)
 
     def grid(self, seen: Seen) -> Grid:
         size = float(np.max(np.abs(seen.y))) or 1.0
@@ -215,10 +213,6 @@ class SensorCurve(AbstractCascade):
         root = self._root(y, shape)
         bend = 2.0 * shape[0] * y[1] ** 2 / root**3 if len(y) > 1 else 0.0
         return root * (model(self.model_output(y, z, shape), True) + bend)
-
-    def rates(self, model: Callable[[Any, bool], Any], y: Any, z: Any, shape: Any) -> Any:
-        del model, y, shape
-        return z
 
     def _root(self, y: Any, shape: Any) -> Any:
         return jnp.sqrt(jnp.maximum(1.0 + 4.0 * shape[0] * y[0], self.flattest**2))
