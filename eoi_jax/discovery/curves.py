@@ -124,12 +124,12 @@ def _with_best_curve(search: Search, named: Judged, explained: bool) -> Judged:
         if not trials:
             continue
         best = search.judge.plainest(trials)
-        better = _is_far_better(best, named) or _replaces_sum(best, named)
+        better = _is_far_better(best, named) or _replaces_sum(search, best, named)
         left = beyond_noise(best.runs[1], search.judge.records)
         near = best.error < named.error + np.log(_RULES.finer)
         if (_crowded(named.placed) and near) or (better and left):
             best = _finest(search, best)
-            better = _is_far_better(best, named) or _replaces_sum(best, named)
+            better = _is_far_better(best, named) or _replaces_sum(search, best, named)
         if better and search.judge.prefers(best.runs, origin.runs):
             return best
     return named
@@ -150,13 +150,20 @@ def _is_far_better(trial: Judged, rival: Judged) -> bool:
     return bool(trial.error < rival.error + np.log(RULES.answer.confirmed))
 
 
-def _replaces_sum(trial: Judged, rival: Judged) -> bool:
-    """Whether a single curve does as well as many laws, or better than several of its signal."""
+def _replaces_sum(search: Search, trial: Judged, rival: Judged) -> bool:
+    """Whether a single curve does as well as many laws, or better than several of its signal.
+
+    Many laws of which one alone comes near the curve are that law, and small ones beside it.
+    """
     laws = _laws(rival)
     if len(trial.placed) != 1 or len(laws) < 2:
         return False
     if _crowded(laws):
-        return bool(trial.error < rival.error + _RULES.as_good)
+        as_good = trial.error < rival.error + _RULES.as_good
+        return bool(as_good and not any(
+            single is not None and not _is_far_better(trial, single)
+            for single in (search.with_only((law,), rival) for law in laws)
+        ))  # fmt: skip
     curve = trial.placed[0]
     signal = curve.effect.depends_on, curve.channel
     of_signal = all((law.effect.depends_on, law.channel) == signal for law in laws)

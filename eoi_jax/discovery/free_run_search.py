@@ -332,7 +332,7 @@ class Search:
         while trial is not None and (unknown := self._of_unknown_size(trial)):
             if any(item in placed for item in unknown):
                 return None
-            trial = self._with_only([item for item in trial.placed if item not in unknown], trial)
+            trial = self.with_only([item for item in trial.placed if item not in unknown], trial)
         return None if trial is None else self._without_turned(trial)
 
     def _tells_parameters(self, model: Judged) -> bool:
@@ -380,7 +380,7 @@ class Search:
         candidates = [trial for trial in trials if self._next_forms(trial) is not None]
         best = first = min(candidates, key=lambda trial: trial.error, default=None)
         while best is not None and (placed := self._next_forms(best)) is not None:
-            trial = self._with_only(placed, best)
+            trial = self.with_only(placed, best)
             if trial is None or trial.refinement.cost >= best.refinement.cost:
                 break
             best = trial
@@ -405,7 +405,7 @@ class Search:
             following.append(item)
         return tuple(following)
 
-    def _with_only(
+    def with_only(
         self, placed: Sequence[Placed], model: Judged, opened: bool = False
     ) -> Judged | None:
         """The base with these effects, refined from the values of a model that has them.
@@ -424,15 +424,15 @@ class Search:
         return _fitted(plant, effects, self.searched, model.refinement.window, self.judge)
 
     def _opened(self, placed: Sequence[Placed], model: Judged) -> Judged | None:
-        """`_with_only`, with the declared terms again that effects without a place now had turned.
+        """`with_only`, with the declared terms again that effects without a place now had turned.
 
         A term stays left out where it does not lower the errors, or where the records do not tell
         the size of an effect beside it: that one is in its place.
         """
-        fit = self._with_only(placed, model)
+        fit = self.with_only(placed, model)
         if fit is None or not replaced_terms(self.base.refinement.plant, fit.refinement.plant):
             return fit
-        trial = self._with_only(placed, fit, opened=True)
+        trial = self.with_only(placed, fit, opened=True)
         if trial is None or self._of_unknown_size(trial):
             return fit
         trial = self._without_turned(trial)

@@ -9,10 +9,11 @@ from scipy.integrate import solve_ivp
 import eoi_jax as eoi
 from eoi_jax.discovery import curves
 from eoi_jax.discovery.curves import misses_a_law
-from eoi_jax.discovery.judge import Judged
+from eoi_jax.discovery.free_run_search import Search
+from eoi_jax.discovery.judge import Judge, Judged
 from eoi_jax.discovery.result import Added
 from eoi_jax.models.augmented import augmented, place
-from eoi_jax.models.effects import Curve, InputCurve, InternalOverflow
+from eoi_jax.models.effects import Curve, InputCurve, InternalOverflow, standard, wider
 from eoi_jax.models.effects.effect import At
 from eoi_jax.refinement.refine import refine_once
 from eoi_jax.simulation.validate import judged_runs
@@ -153,3 +154,38 @@ def test_a_curve_of_the_output_is_compared_with_laws_of_a_term_alone():
     # A capacity that changes with the output divides all terms: it is no law of this curve.
     found = found_of(waving)
     assert "curve" in found.effects
+
+
+@pytest.fixture(scope="module")
+def heater():
+    """The heater, refined and judged."""
+    fit = refine_once(HEATER, (measured(softly, 1),), None)
+    return Judged(fit, (), (judged_runs(fit.plant, measured(softly, 2)), None))
+
+
+def with_effects(model, error, *effects):
+    """A model with some effects, and with this mean logarithm of errors."""
+    placed = tuple(place(HEATER, effect, 0) for effect in effects)
+    run = replace(model.runs[0], nrmse=np.exp([error]))
+    return Judged(model.refinement, placed, (run, None))
+
+
+@pytest.mark.parametrize(("alone", "replaces"), [(-0.1, False), (0.6, True)])
+def test_curve_replaces_many_laws_only_where_none_alone_comes_near(
+    heater, alone, replaces, monkeypatch
+):
+    """Of a damper whose force yields the yield law stays, though small effects stand beside it."""
+    names = ("input_yield", "actuator_lag", "input_asymmetry")
+    laws = [law for law in (*standard(), *wider()) if law.name in names]
+    assert len(laws) == 3
+    rival = with_effects(heater, -0.4, *laws)
+    curve = with_effects(heater, -0.5, InputCurve((-6.0, -2.0, 2.0, 6.0)))
+    errors = {"input_yield": alone, "actuator_lag": 1.0, "input_asymmetry": 1.0}
+
+    def with_only(search, placed, model):
+        assert model is rival
+        return with_effects(heater, errors[placed[0].effect.name], placed[0].effect)
+
+    monkeypatch.setattr(Search, "with_only", with_only)
+    search = Search((), (), Judge.of((measured(softly, 2),), HEATER), (heater,))
+    assert curves._replaces_sum(search, curve, rival) is replaces
