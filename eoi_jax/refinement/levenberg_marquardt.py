@@ -12,6 +12,7 @@ matrices are small, and the runs are called, not compiled in: no program depends
 unknowns there are.
 """
 
+import warnings
 from collections.abc import Callable
 from dataclasses import dataclass, fields, replace
 from typing import Any
@@ -58,13 +59,14 @@ Free = Float[np.ndarray, "lanes free"]
 
 @dataclass(frozen=True)
 class _Reduced:
-    """The linearised problem of each lane at its last accepted point, with columns of length one.
+    """The linearised problem of each lane at its last accepted point, columns no longer than one.
 
     Attributes:
         theta, starts: that point.
         rows: the roots there: of each run, columns of its start, θ and the error.
         triangles: R of these rows, with θ on its scales.
-        start_lengths, lengths: lengths of the columns of starts, and of θ (over all runs).
+        start_lengths, lengths: lengths of the columns of starts, at least typical ones, and of θ
+            (over all runs).
         predicted_reduction: share of the cost that a step without damping would take away.
         cost: there.
     """
@@ -142,7 +144,7 @@ class _Arrow:
             > np.pad(problem.faintest, (0, start_size - len(problem.faintest))) ** 2
         )
         columns[..., :start_size] *= traced[:, :, None]
-        start_lengths = _length(np.where(traced, power[..., :start_size], 0.0))
+        start_lengths = _length(_at_least_typical(np.where(traced, power[..., :start_size], 0.0)))
         lengths = _length(np.sum(power[..., start_size:], axis=1))
         columns[..., :start_size] /= start_lengths[:, :, None]
         columns[..., start_size:] /= lengths[:, None, None]
@@ -229,6 +231,18 @@ def _chosen(flags: Bool[np.ndarray, " lanes"], first: Any, second: Any) -> Any:
 def _length(power: np.ndarray) -> np.ndarray:
     """Of columns with these sums of squares; one for columns of zeros."""
     return np.sqrt(np.where(power > 0, power, 1.0))
+
+
+def _at_least_typical(power: Float[np.ndarray, "lanes runs own"]) -> np.ndarray:
+    """Of the columns of the starts, no less than the median over the runs in which there are any.
+
+    In a run that sticks at once its first velocity does next to nothing, and a step that is damped
+    by its own column alone would throw it far away from where it does so.
+    """
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", RuntimeWarning)  # of what leaves no trace in any run
+        typical = np.nanmedian(np.where(power > 0, power, np.nan), axis=1, keepdims=True)
+    return np.where(power > 0, np.fmax(power, typical), power)
 
 
 def _triangle(rows: np.ndarray) -> np.ndarray:

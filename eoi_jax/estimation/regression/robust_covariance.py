@@ -324,7 +324,9 @@ def _degrees_of_freedom(
             trace += np.trace(form)
             square += np.vdot(form, form) - 2.0 * np.vdot(rows, form @ rows)
             explained = explained + rows.T @ rows
-        freedom[i] = (trace - np.trace(explained)) ** 2 / (square + np.vdot(explained, explained))
+        spread = square + np.vdot(explained, explained)
+        if spread > 0.0:  # else all that the sums show is explained
+            freedom[i] = (trace - np.trace(explained)) ** 2 / spread
     return freedom
 
 
