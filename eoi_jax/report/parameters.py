@@ -112,18 +112,18 @@ def plant_of(result: Any) -> Plant | None:
     return fit if isinstance(fit, Plant) else getattr(fit, "plant", None)
 
 
-def parameter_estimates(result: Any, known: Uncertainty) -> tuple[ParameterEstimate, ...]:
+def parameter_estimates(result: Any, uncertainty: Uncertainty) -> tuple[ParameterEstimate, ...]:
     """The parameters of a result, in its order.
 
     Args:
         result: with an estimate.
-        known: its estimates with their covariance.
+        uncertainty: its estimates with their covariance.
     """
     plant = plant_of(result)
     effects = dict(_effects(plant)) if plant else {}
     at_inputs = {row.parameter: row for row in input_strengths(plant)} if plant else {}
-    errors, intervals, rows = known.standard_errors, known.intervals(LEVEL), []
-    for name, value in known.parameters.items():
+    errors, intervals, rows = uncertainty.standard_errors, uncertainty.intervals(LEVEL), []
+    for name, value in uncertainty.parameters.items():
         strength, at_input = at_inputs.get(name), None
         if strength is not None:
             sizes = value * strength.factor, errors[name] * abs(strength.factor)
@@ -133,7 +133,7 @@ def parameter_estimates(result: Any, known: Uncertainty) -> tuple[ParameterEstim
             float(value),
             errors[name],
             *intervals[name],
-            known.units.get(name, ""),
+            uncertainty.units.get(name, ""),
             errors[name] != 0 if plant is None else name not in plant.fixed,
             effects.get(name, ""),
             at_input,

@@ -156,15 +156,15 @@ def compared(
     Raises:
         ValueError: not near enough.
     """
-    known = np.zeros(len(record), dtype=bool)
+    covered = np.zeros(len(record), dtype=bool)
     for samples, replayed in stretches:
-        known[samples] = replayed.valid
+        covered[samples] = replayed.valid
     rule = "must have a sample with known inputs and outputs for the controller"
-    check(bool(np.any(known)), f"records[{record.name}]", rule, "none")
+    check(bool(np.any(covered)), f"records[{record.name}]", rule, "none")
     shares = []
     for j, number in enumerate(driven):
-        name, u = record.input_names[number], inputs[known, j]
-        unit, error = record.units.get(name, ""), u - law[known, j]
+        name, u = record.input_names[number], inputs[covered, j]
+        unit, error = record.units.get(name, ""), u - law[covered, j]
         size, spread = float(np.sqrt(np.mean(error**2))), float(np.std(u))
         quantum = float(quanta(u[:, None], np.ones((len(u), 1), dtype=bool))[0])
         rounding = _SETTINGS.rounding * quantum
@@ -175,7 +175,7 @@ def compared(
             percent = f"{100 * size / spread:.2g} %" if size > 1e-9 * spread else "every digit"
         good = np.isfinite(size) and size <= max(controller.tolerance * spread, rounding, 1e-12)
         if not good:
-            worst = record.time[known][int(np.argmax(np.nan_to_num(np.abs(error), nan=np.inf)))]
+            worst = record.time[covered][int(np.argmax(np.nan_to_num(np.abs(error), nan=np.inf)))]
             value = f"a difference of {size:.3g} {unit}".rstrip()
             value += f" rms ({percent} of its standard deviation), largest at t = {worst:g} s"
             rule = f"must reproduce the recorded input {name} of {record.name} from the measured "
