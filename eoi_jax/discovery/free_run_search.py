@@ -35,6 +35,7 @@ import numpy as np
 from eoi_jax.data.holds import SETTINGS
 from eoi_jax.data.record import Record
 from eoi_jax.discovery.additions import has_size, size_is_known
+from eoi_jax.discovery.free_run_candidates import Model, candidates, has_dependence
 from eoi_jax.discovery.judge import (
     Judge,
     Judged,
@@ -47,26 +48,18 @@ from eoi_jax.discovery.replacements import replaced_terms, replacements, turned_
 from eoi_jax.discovery.rules import RULES
 from eoi_jax.models.augmented import Placed, augmented, place
 from eoi_jax.models.effects import (
-    PRODUCTS,
-    ConstantOffset,
     Drift,
-    ParameterDependence,
     SinusoidalDisturbance,
 )
-from eoi_jax.models.effects.effect import AbstractCascade, AbstractEffect
-from eoi_jax.models.placements import placements
+from eoi_jax.models.effects.effect import AbstractEffect
 from eoi_jax.models.plant import Plant
 from eoi_jax.refinement.refine import refine_once
-from eoi_jax.refinement.remaining import Remaining, remaining
 from eoi_jax.refinement.result import Refinement
-from eoi_jax.refinement.score_test import Candidate, is_tested
 from eoi_jax.simulation.error_growth import is_lost, returns
 from eoi_jax.simulation.sensor_noise import is_exact
 
 _RULES = RULES.free_runs
 
-Model = tuple[Plant, tuple[Placed, ...]]  # with effects in it, and these
-Sites = tuple[tuple[str, int], ...]  # kinds of effects with their channels
 RecordPair = tuple[tuple[Record, ...], tuple[Record, ...]]  # to fit, and to judge
 
 
@@ -167,7 +160,7 @@ def search_free_runs(
         models = [
             (plant, placed, origin)
             for origin in (search.bases if number == 0 and not present else (best,))
-            for plant, placed in search.candidates(origin, tried, level)
+            for plant, placed in candidates(origin, tried, level, explained=bool(present))
         ]
         if number == 0 and not present:
             models += [(*candidate, best) for candidate in further if not _in_time(candidate[1])]
@@ -282,48 +275,12 @@ class Search:
         """Effects of a model that the base has not."""
         return tuple(placed for placed in model.placed if placed not in self.base.placed)
 
-    def candidates(
-        self, best: Judged, effects: Sequence[AbstractEffect], level: float
-    ) -> list[Model]:
-        """Models with the effects that a score test says most of, then with an offset."""
-        if not best.refinement.status.ok:
-            return []  # of a fit without an answer no score test is one
-        plant = best.refinement.plant
-        offsets = [effect for effect in effects if isinstance(effect, ConstantOffset)]
-        # What has no linear test: none at all would find it.
-        untested = [e for e in effects if isinstance(e, AbstractCascade) and not is_tested(e)]
-        tested = remaining(best.refinement, effects, level=level)
-        share = _RULES.share if self.base.placed else 0.0
-        items = [item for item in _nearly_best(tested.significant) if item.share >= share]
-        sets = [(item.placed, item.values) for item in items]
-        if not self.base.placed:
-            sets += [((placed,), dict.fromkeys(placed.names, 0.0))
-                     for placed in placements(plant, offsets)]  # fmt: skip
-        certain = [((placed,), {}) for placed in placements(plant, untested)]
-        first: dict[Sites, Model] = {}
-        for placed, values in [*certain, *sets]:
-            if not _repeated(best.placed, placed):
-                first.setdefault(_sites_of(placed), (augmented(plant, placed, values), placed))
-        # A product names no cause, and many of them do alike: they leave room for laws that do.
-        # Beside an explanation they are told, and one is enough.
-        models, allowed = list(first.values()), 1 if self.base.placed else _RULES.products
-        products = [i for i, (_, placed) in enumerate(models) if _has_product(placed)]
-        models = [model for i, model in enumerate(models) if i not in products[allowed:]]
-        further = _further_shapes(tested, items)[: _RULES.shapes]
-        # There may be many dependences, too: they have room of their own.
-        laws = [model for model in models if not _depends(model[1])]
-        dependences = [model for model in models if _depends(model[1])]
-        return [
-            *laws[: _RULES.tried + len(certain)],
-            *dependences[: _RULES.dependences],
-            *((augmented(plant, item.placed, item.values), item.placed) for item in further),
-        ]
-
     def fitted(self, plant: Plant, placed: tuple[Placed, ...], best: Judged) -> Judged | None:
         """A model refined over runs as those of the best one so far, and judged.
 
         Without earlier effects whose size is not told any more: they stood in for this one. None
-        where it has no free run or no fit, or where the records do not tell the size of a new one.
+        where it has no free run or no fit, or where the records do not tell the size of a new one,
+        unless that has become the law in which it ends.
         """
         if not_simulated(plant):
             return None
@@ -331,9 +288,24 @@ class Search:
         trial = _fitted(plant, (*best.placed, *placed), self.searched, window, self.judge)
         while trial is not None and (unknown := self._of_unknown_size(trial)):
             if any(item in placed for item in unknown):
-                return None
+                return self._in_the_limit(trial, unknown)
             trial = self.with_only([item for item in trial.placed if item not in unknown], trial)
         return None if trial is None else self._without_turned(trial)
+
+    def _in_the_limit(self, model: Judged, unknown: Sequence[Placed]) -> Judged | None:
+        """A model with the laws in which effects end whose parameters run off.
+
+        The thrust of a propeller is k u|u|: beside it b u is next to nothing, and of b (u + q u|u|)
+        only the product b q is told.
+        """
+        plant, placed = self.base.refinement.plant, []
+        for item in model.placed:
+            law = item.effect.limit() if item in unknown else item.effect
+            if law is None:
+                return None
+            placed.append(item if item not in unknown else place(plant, law, item.channel))
+        trial = self.with_only(placed, model)
+        return None if trial is None or self._of_unknown_size(trial) else trial
 
     def _tells_parameters(self, model: Judged) -> bool:
         """Whether the records tell some parameter that they told of the declared model alone.
@@ -372,7 +344,7 @@ class Search:
 
         And the best one with a dependence of a parameter, which is such an effect.
         """
-        groups = ([trial for trial in trials if _depends(trial.placed) == depends]
+        groups = ([trial for trial in trials if has_dependence(trial.placed) == depends]
                   for depends in (False, True))  # fmt: skip
         return [trial for group in groups for trial in self._in_best_form(group)]
 
@@ -548,51 +520,11 @@ def _most_likely(searches: Sequence[Search]) -> Search:
     return min(likely, key=lambda search: search.base.error)
 
 
-def _nearly_best(candidates: Sequence[Candidate]) -> list[Candidate]:
-    """Candidates that leave little more than the best one; laws are compared with laws.
-
-    A product bends as the residual does wherever the base is, and takes most of what is linearised
-    there; it names no cause.
-    """
-    chosen = []
-    for candidate in candidates:
-        kind = _has_product(candidate.placed)
-        alike = (other.share for other in candidates if _has_product(other.placed) == kind)
-        if 1.0 - candidate.share <= _RULES.remainder * (1.0 - max(alike)):
-            chosen.append(candidate)
-    return chosen
-
-
-def _further_shapes(tested: Remaining, items: Sequence[Candidate]) -> list[Candidate]:
-    """Effects at other shapes that explain nearly as much, at the maxima of their share.
-
-    Fits that begin at one shape do not come to another maximum.
-    """
-    shares = {item.placed: item.share for item in items}
-    return [
-        item
-        for item in tested.further_shapes
-        if item.placed in shares
-        and item.significance < tested.level
-        and 1.0 - item.share <= _RULES.remainder * (1.0 - shares[item.placed])
-    ]
-
-
 def _is_sized(name: str, fit: Refinement) -> bool:
     """Whether a fit tells the size of a parameter that it estimates."""
     return name not in fit.plant.fixed and size_is_known(
         [name], fit.parameters, fit.standard_errors
     )
-
-
-def _has_product(placed: Sequence[Placed]) -> bool:
-    """Whether one of some effects is a product of signals."""
-    return any(isinstance(item.effect, PRODUCTS) for item in placed)
-
-
-def _depends(placed: Sequence[Placed]) -> bool:
-    """Whether one of some effects is a dependence of a parameter."""
-    return any(isinstance(item.effect, ParameterDependence) for item in placed)
 
 
 def _in_time(placed: Sequence[Placed]) -> bool:
@@ -646,14 +578,3 @@ def _fits_better(trials: Sequence[Judged], best: Judged, variant: Search) -> boo
         if trial.error < best.error
     ]
     return max(gains, default=0.0) > SETTINGS.evidence
-
-
-def _repeated(present: Sequence[Placed], placed: Sequence[Placed]) -> bool:
-    """Whether one of some effects is in the model already, at the same place."""
-    places = {item.kind_site for item in present}
-    return any(item.kind_site in places for item in placed)
-
-
-def _sites_of(placed: Sequence[Placed]) -> Sites:
-    """Kinds of effects and their channels, in any order."""
-    return tuple(sorted(item.kind_site[:2] for item in placed))

@@ -1,6 +1,6 @@
 """Effects in place of a term of the declared model: drag with the square, no viscous friction.
 
-And a loss to a level that nothing measures, which goes beside its terms.
+And a loss together with an offset, which go beside its terms.
 
 Along a record the effect and the term may be nearly in proportion. The records of the fit then do
 not tell one from the other, nor the size of the effect beside the term; but elsewhere both predict
@@ -16,7 +16,7 @@ from eoi_jax.discovery.additions import size_is_known
 from eoi_jax.discovery.judge import Judged
 from eoi_jax.discovery.rules import RULES
 from eoi_jax.models.augmented import Placed, added_effects, augmented
-from eoi_jax.models.effects import PRODUCTS, ConstantOffset, Leak
+from eoi_jax.models.effects import PRODUCTS, ConstantOffset, Leak, LinearStiffness, ViscousFriction
 from eoi_jax.models.effects.effect import AbstractEffect, AbstractTerm
 from eoi_jax.models.placements import placements
 from eoi_jax.models.plant import Plant
@@ -33,7 +33,7 @@ def replacements(model: Judged, effects: Sequence[AbstractEffect]) -> list[Model
     """Models with an effect in place of a term, which its parameter at zero leaves out.
 
     Effects of one gain are tried that have most in common with a term along the free runs; those
-    first that have more. Losses to levels follow.
+    first that have more. Losses with offsets follow.
 
     Args:
         model: refined; what was added to it stays.
@@ -56,27 +56,36 @@ def replacements(model: Judged, effects: Sequence[AbstractEffect]) -> list[Model
             models.append((likeness, (whole.declared_anew({name: 0.0}, fixed=(name,)), (law,))))
     models.sort(key=lambda item: -item[0])
     replaced = [model for _, model in models[: _RULES.tried]]
-    return replaced + _losses_to_levels(plant, runs, effects)
+    return replaced + _losses_with_offsets(plant, runs, effects)
 
 
-def _losses_to_levels(
+def _losses_with_offsets(
     plant: Plant, runs: LinearisedRuns, effects: Sequence[AbstractEffect]
 ) -> list[Model]:
-    """Models with a loss of an output to a constant level: a leak together with an offset.
+    """Models with a loss and an offset: a leak to a constant level, a damped motion; with a spring.
 
     Heat goes to the neighbours, to the ground, to a store so large that it stays as it is. From a
     leak alone the level would be the zero of the scale, and from an offset alone the time constants
-    would stay: a score test, which holds them, shows neither.
+    would stay: a score test, which holds them, shows neither. What is pushed to one side moves away
+    without a friction that holds it back, and a friction alone does not bring it back: free runs of
+    a model without both say nothing of its gain, and a score test of that model nothing of either.
     """
-    leaks, offsets = (
-        {at.output: at for at in placements(plant, [e for e in effects if isinstance(e, kind)])}
-        for kind in (Leak, ConstantOffset)
+    kinds = {kind: [effect for effect in effects if isinstance(effect, kind)]
+             for kind in (ConstantOffset, LinearStiffness, Leak, ViscousFriction)}  # fmt: skip
+    offsets, springs = (
+        {at.output: at for at in placements(plant, kinds[kind])}
+        for kind in (ConstantOffset, LinearStiffness)
     )
-    pairs = [(leak, offsets[output]) for output, leak in leaks.items()
-             if output in offsets and leak.effect.shows(runs.signal_statistics(leak))]  # fmt: skip
+    losses: dict[int, Placed] = {}
+    for loss in placements(plant, [*kinds[Leak], *kinds[ViscousFriction]]):
+        if loss.output in offsets and runs.tries(loss):  # none of what the model has already
+            losses.setdefault(loss.output, loss)
+    sets = [(loss, offsets[output]) for output, loss in losses.items()]
+    sets += [(*pair, springs[pair[0].output]) for pair in sets
+             if pair[0].output in springs and runs.tries(springs[pair[0].output])]  # fmt: skip
     return [
-        (augmented(plant, pair, {name: 0.0 for at in pair for name in at.names}), pair)
-        for pair in pairs
+        (augmented(plant, placed, {name: 0.0 for at in placed for name in at.names}), placed)
+        for placed in sets
     ]
 
 

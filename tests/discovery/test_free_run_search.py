@@ -10,6 +10,7 @@ from scipy.signal import lfilter
 import eoi_jax as eoi
 from eoi_jax import effects
 from eoi_jax.discovery import free_run_search, in_free_runs
+from eoi_jax.discovery.free_run_candidates import candidates
 from eoi_jax.discovery.free_run_evidence import exchanged_ratio
 from eoi_jax.discovery.free_run_search import (
     FreeRunAnswer,
@@ -514,12 +515,12 @@ def test_the_search_goes_on_from_what_is_left_without_stand_ins(monkeypatch):
     )
     found_from = {id(base): wide, id(stop): answer}
 
-    def candidates(_, best, *__):
+    def tried_from(best, *_, **__):
         return [(plant, ())] if id(best) in found_from else []
 
     monkeypatch.setattr(free_run_search, "_begun", lambda *_: [search])
     monkeypatch.setattr(free_run_search, "replacements", lambda *_: [])
-    monkeypatch.setattr(Search, "candidates", candidates)
+    monkeypatch.setattr(free_run_search, "candidates", tried_from)
     monkeypatch.setattr(Search, "fitted", lambda _, __, ___, best: found_from[id(best)])
     monkeypatch.setattr(Search, "further_forms", lambda *_: [])
     monkeypatch.setattr(Search, "leanest", lambda _, best: stop if best is wide else best)
@@ -551,9 +552,9 @@ def test_an_effect_with_which_refinement_tells_no_parameter_any_more_goes(monkey
     monkeypatch.setattr(free_run_search, "_begun", lambda *_: [search])
     monkeypatch.setattr(free_run_search, "replacements", lambda *_: [])
     monkeypatch.setattr(
-        Search,
+        free_run_search,
         "candidates",
-        lambda _, best, *__: [(base.refinement.plant, ())] if id(best) in further else [],
+        lambda best, *_, **__: [(base.refinement.plant, ())] if id(best) in further else [],
     )
     monkeypatch.setattr(Search, "fitted", lambda _, __, ___, best: further[id(best)])
     monkeypatch.setattr(Search, "further_forms", lambda *_: [])
@@ -797,7 +798,38 @@ def test_a_model_whose_fit_has_no_answer_is_not_searched_from():
     assert judge is not None
     search = Search.begun([PLATE], records, judge)
     assert search is not None
-    assert search.candidates(search.base, [effects.ConstantOffset()], 0.01)
+    assert candidates(search.base, [effects.ConstantOffset()], 0.01)
     without_trace = replace(search.base.refinement, status=eoi.Status("unidentifiable", "no trace"))
     hidden = replace(search.base, refinement=without_trace)
-    assert search.candidates(hidden, [effects.ConstantOffset()], 0.01) == []
+    assert candidates(hidden, [effects.ConstantOffset()], 0.01) == []
+
+
+def fan(t, x, u, p):
+    return p.b * u - p.a * x.y[0]
+
+
+FAN = eoi.Plant(fan, {"b": 2.0, "a": 0.5}, 1, inputs=("u",), outputs=("y",))
+
+
+def blown(seed):
+    """A flow that a propeller drives with the square of its speed, exact from step to step."""
+    random = np.random.default_rng(seed)
+    u = np.repeat(random.uniform(-1.0, 1.0, COUNT // 15), 15)
+    pole = np.exp(-0.8 * 0.1)
+    force = 3.0 * u * np.abs(u) * (1.0 - pole) / 0.8
+    y = lfilter([0.0, 1.0], [1.0, -pole], force) + 0.02 * random.standard_normal(COUNT)
+    return eoi.Record(0.1 * np.arange(COUNT), u, y, hold="zero", input_names=("u",))
+
+
+def test_an_effect_whose_parameter_runs_off_becomes_the_law_in_which_it_ends():
+    """Of b (u + q u|u|) the records tell the product b q alone."""
+    judge = Judge.of((blown(2),), FAN)
+    search = Search.begun([FAN], (blown(1),), judge)
+    placed = place(FAN, effects.InputQuadratic(), 0)
+    plant = augmented(search.base.refinement.plant, [placed], {"input_quadratic": 0.5})
+    trial = search.fitted(plant, (placed,), search.base)
+    assert [at.effect for at in trial.placed] == [effects.InputSquare()]
+    assert trial.refinement.parameters == pytest.approx({"b": 3.0, "a": 0.8}, rel=0.03)
+    # Many laws end in none.
+    unlimited = replace(trial, placed=(place(FAN, effects.InputSaturation(), 0),))
+    assert search._in_the_limit(unlimited, unlimited.placed) is None

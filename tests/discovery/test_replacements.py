@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
+from scipy.signal import cont2discrete, dlsim
 
 import eoi_jax as eoi
 from eoi_jax import effects
@@ -270,3 +271,32 @@ def test_a_term_that_is_right_stays():
     best = searched(0.2, 0.0)
     assert best.placed == ()
     assert replaced_terms(PLANT, best.refinement.plant) == ()
+
+
+CART = eoi.Plant(lambda t, x, u, p: p.gain * u, {"gain": 1.0}, 2, inputs=("drive",),
+                 outputs=("position",))  # fmt: skip
+
+
+def rolling_cart(seed, stiffness):
+    """A cart whose drive has an offset, held back by friction; by SciPy, exact in each step."""
+    draw, period, count = np.random.default_rng(seed), 0.05, 1200
+    drive = np.repeat(draw.uniform(-1.0, 1.0, count // 12), 12) + 0.4
+    moving = np.array([[0.0, 1.0], [-stiffness, -8.0]]), np.array([[0.0], [1.0]])
+    system = cont2discrete((*moving, np.array([[1.0, 0.0]]), np.array([[0.0]])), period)[:4]
+    _, position, _ = dlsim((*system, period), 60.0 * drive - 23.0)
+    noise = 0.02 * draw.standard_normal((count, 1))
+    return eoi.Record(period * np.arange(count), drive, position + noise, hold="zero",
+                      input_names=CART.inputs, output_names=CART.outputs)  # fmt: skip
+
+
+@pytest.mark.parametrize("stiffness", [0.0, 3.0])
+def test_friction_and_an_offset_are_found_where_neither_alone_helps(stiffness):
+    """Free runs of a double integrator under a biased drive say nothing of its gain."""
+    true = {"gain": 60.0, "viscous_friction": 8.0, "constant_offset": -23.0}
+    if stiffness:
+        true["linear_stiffness"] = stiffness
+    tried = [effects.ViscousFriction(), effects.ConstantOffset(), effects.LinearStiffness()]
+    records = (rolling_cart(seed, stiffness) for seed in (1, 2))
+    answer = search_free_runs([CART], [tuple((record,) for record in records)], tried)
+    assert answer is not None
+    assert answer.best.refinement.parameters == pytest.approx(true, rel=0.03)
