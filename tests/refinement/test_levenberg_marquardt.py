@@ -3,6 +3,7 @@
 from dataclasses import replace
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 import pytest
 
@@ -12,6 +13,7 @@ from eoi_jax.models.step_scales import LINEAR, StepScales
 from eoi_jax.refinement.free_run_sums import signals
 from eoi_jax.refinement.levenberg_marquardt import solve, solve_many
 from eoi_jax.refinement.problem import Unknowns, guessed_starts, problem_of
+from eoi_jax.refinement.refine import refine_once
 from eoi_jax.refinement.spans import spans_of
 
 PERIOD = 0.02
@@ -119,3 +121,24 @@ def test_runs_of_any_number_are_solved_without_a_compilation(problem):
     jax.jit(lambda x: 3.0 * x + 1.25)(np.ones(7))
     heard = False
     assert len(compiled) == 1  # the one beside the solver
+
+
+def sliding(force, seed):
+    """A block under a force, against friction of 0.5: exact, with noise of an encoder."""
+    time = 0.01 * np.arange(300)
+    error = 1e-5 * np.random.default_rng(seed).standard_normal(300)
+    position = 0.5 * (force - 0.5) * time**2 + error
+    return eoi.Record(time, np.full(300, force), position, hold="zero")
+
+
+def test_a_block_that_sticks_in_the_model_and_slides_in_a_record_does_not_stop_the_fit():
+    """The velocity of its start does next to nothing, and would have to do all."""
+    block = eoi.Plant(
+        lambda t, x, u, p: p.gain * u - p.friction * jnp.sign(x.y[1]),
+        {"gain": 1.0, "friction": 1.0},
+        relative_degree=2,
+    )
+    records = tuple(sliding(force, seed) for seed, force in enumerate((0.6, 4.0, 3.0)))
+    fit = refine_once(block, records, None)
+    assert fit.status.ok
+    assert fit.parameters == pytest.approx({"gain": 1.0, "friction": 0.5}, rel=1e-3)
