@@ -53,7 +53,8 @@ def exchanged_ratio(answer: FreeRunAnswer) -> float:
     Both models are refined on the records that judged, and judged on those of the fit, or on the
     beginning of long ones: a few records that move slowly may prefer either by chance.
     """
-    judge = Judge.of(portion(answer.records), answer.base.refinement.plant)
+    plant = answer.base.refinement.plant
+    judge = Judge.of(portion(answer.records, plant), plant)
     if judge is None:
         return np.inf
     base, best = (
@@ -74,7 +75,8 @@ def long_run_ratio(answer: FreeRunAnswer) -> float:
     best, base = answer.best.runs, answer.base.runs
     assert best[1] is not None
     assert base[1] is not None
-    judge = Judge.of(portion(answer.records), answer.base.refinement.plant)
+    plant = answer.base.refinement.plant
+    judge = Judge.of(portion(answer.records, plant), plant)
     tells = least_error_ratio(best[1], base[1]) < RULES.answer.confirmed
     grows = np.log(error_ratio(best[1], base[1])) > RULES.judge.same_error
     if tells or grows or judge is None:
@@ -89,7 +91,8 @@ def contradicted_by_fit(answer: FreeRunAnswer) -> bool:
     There the model predicts otherwise than the base, by as much as would lower the errors enough if
     it were true, and hardly better.
     """
-    judge = Judge.of(portion(answer.records), answer.base.refinement.plant)
+    plant = answer.base.refinement.plant
+    judge = Judge.of(portion(answer.records, plant), plant)
     if judge is None:
         return False
     base, best = (model.refinement.plant for model in (answer.base, answer.best))

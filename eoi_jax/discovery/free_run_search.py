@@ -57,6 +57,7 @@ from eoi_jax.refinement.refine import refine_once
 from eoi_jax.refinement.result import Refinement
 from eoi_jax.simulation.error_growth import is_lost, returns
 from eoi_jax.simulation.sensor_noise import is_exact
+from eoi_jax.simulation.step_size import choose_steps
 
 _RULES = RULES.free_runs
 
@@ -223,7 +224,7 @@ class Search:
     ) -> "Search | None":
         """With the best base of each length of runs; None without a fit."""
         bases: list[Judged] = []
-        searched = portion(records)
+        searched = portion(records, starts[0])
         for window in (judge.longest, judge.window):
             fits = [_fitted(start, present, searched, window, judge) for start in starts]
             fits = [fit for fit in fits if fit is not None]
@@ -482,9 +483,18 @@ def _fitted(
     return Judged(refinement, placed, judge.runs(refinement.plant))
 
 
-def portion(records: tuple[Record, ...]) -> tuple[Record, ...]:
-    """As many of the records as may be searched, evenly chosen; the beginning of a long one."""
-    most = _RULES.samples // records[0].outputs.shape[1]
+def portion(records: tuple[Record, ...], plant: Plant) -> tuple[Record, ...]:
+    """As many of the records as may be searched, evenly chosen; the beginning of a long one.
+
+    Args:
+        records: to fit.
+        plant: the declared model, whose runs with their derivatives take time for each state,
+            parameter and step.
+    """
+    states = plant.rows * len(plant.outputs) + len(plant.open_internal)
+    signals = states * (1 + len(plant.names) - len(plant.fixed) + states)
+    steps = choose_steps(plant, records).count
+    most = min(_RULES.samples // len(plant.outputs), _RULES.work // (steps * max(signals, 1)))
     if _count(records) <= most:
         return records
     for count in range(len(records) - 1, 0, -1):

@@ -601,11 +601,21 @@ def test_records_too_short_for_windows_are_not_judged():
 def test_long_records_are_searched_in_part(monkeypatch, lengths, most, chosen):
     rules = replace(free_run_search._RULES, samples=most)
     monkeypatch.setattr(free_run_search, "_RULES", rules)
+    assert portion_of(lengths) == chosen
+    # Four steps of a state with its derivatives by three parameters and its start.
+    rules = replace(free_run_search._RULES, samples=10**6, work=20 * most)
+    monkeypatch.setattr(free_run_search, "_RULES", rules)
+    assert portion_of(lengths) == chosen
+
+
+def portion_of(lengths):
+    """Numbers of the records of these lengths that are searched."""
     records = tuple(
         eoi.Record(np.arange(count), np.zeros(count), np.arange(count) + 100.0 * i, hold="zero")
         for i, count in enumerate(lengths)
     )
-    assert free_run_search.portion(records) == tuple(records[i] for i in chosen)
+    searched = free_run_search.portion(records, PLATE)
+    return tuple(records.index(record) for record in searched)
 
 
 @pytest.mark.slow
