@@ -187,5 +187,7 @@ def test_curve_replaces_many_laws_only_where_none_alone_comes_near(
         return with_effects(heater, errors[placed[0].effect.name], placed[0].effect)
 
     monkeypatch.setattr(Search, "with_only", with_only)
-    search = Search((), (), Judge.of((measured(softly, 2),), HEATER), (heater,))
+    judge = Judge.of((measured(softly, 2),), HEATER)
+    assert judge is not None
+    search = Search((), (), judge, (heater,))
     assert curves._replaces_sum(search, curve, rival) is replaces

@@ -834,10 +834,13 @@ def blown(seed):
 def test_an_effect_whose_parameter_runs_off_becomes_the_law_in_which_it_ends():
     """Of b (u + q u|u|) the records tell the product b q alone."""
     judge = Judge.of((blown(2),), FAN)
+    assert judge is not None
     search = Search.begun([FAN], (blown(1),), judge)
+    assert search is not None
     placed = place(FAN, effects.InputQuadratic(), 0)
     plant = augmented(search.base.refinement.plant, [placed], {"input_quadratic": 0.5})
     trial = search.fitted(plant, (placed,), search.base)
+    assert trial is not None
     assert [at.effect for at in trial.placed] == [effects.InputSquare()]
     assert trial.refinement.parameters == pytest.approx({"b": 3.0, "a": 0.8}, rel=0.03)
     # Many laws end in none.
