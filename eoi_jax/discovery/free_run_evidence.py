@@ -70,7 +70,9 @@ def long_run_ratio(answer: FreeRunAnswer) -> float:
     Short runs start anew so often that effects may hardly change them: what they miss by is noise,
     and cannot fall. Long runs are then asked, on the records that judge and on those of the fit,
     and the larger ratio counts, of what exceeds the noise of the sensors. Infinite where effects
-    could lower the errors of short runs enough to be confirmed, or where these grow.
+    could lower the errors of short runs enough to be confirmed, or where these grow; and where the
+    errors of long runs fall by no more than chance on the records of the fit: those of a plant that
+    integrates wander, and a part of one record may have most of them.
     """
     best, base = answer.best.runs, answer.base.runs
     assert best[1] is not None
@@ -82,6 +84,8 @@ def long_run_ratio(answer: FreeRunAnswer) -> float:
     if tells or grows or judge is None:
         return np.inf
     fits = [judge.runs(model.refinement.plant)[0] for model in (answer.best, answer.base)]
+    if not judge.prefers((fits[0], None), (fits[1], None)):
+        return np.inf
     return max(ratio_beyond_noise(best[0], base[0]), ratio_beyond_noise(fits[0], fits[1]))
 
 

@@ -157,7 +157,15 @@ def test_long_runs_do_not_decide_alone_where_short_ones_tell():
 def test_without_friction_nothing_is_added_to_such_records():
     found = searched(0.0)
     assert not found.best.placed
-    assert long_run_ratio(found) == 1.0
+    assert long_run_ratio(found) == np.inf
+
+
+def test_long_runs_decide_nothing_that_is_chance_on_the_records_of_the_fit(answer, monkeypatch):
+    """Half a swing under much noise: errors beyond it are a half, by no more than its scatter."""
+    few = replace(answer, records=(released(6, 20.0, 40.0, 4.0, 120),))
+    assert long_run_ratio(few) == np.inf
+    monkeypatch.setattr(Judge, "prefers", lambda *_: True)
+    assert long_run_ratio(few) < 2.0 / 3.0
 
 
 def test_what_an_error_falls_to_if_the_other_model_is_true():
