@@ -5,9 +5,17 @@ from collections.abc import Sequence
 import numpy as np
 
 from eoi_jax.data.record import Record
-from eoi_jax.discovery.free_run_search import FreeRunAnswer, best_of, over_both, portion
+from eoi_jax.discovery.additions import has_size
+from eoi_jax.discovery.free_run_search import (
+    FreeRunAnswer,
+    best_of,
+    over_both,
+    portion,
+    refined,
+)
 from eoi_jax.discovery.judge import (
     Judge,
+    Judged,
     error_ratio,
     least_error_ratio,
     only_otherwise,
@@ -15,7 +23,7 @@ from eoi_jax.discovery.judge import (
 )
 from eoi_jax.discovery.remarks import FitNote
 from eoi_jax.discovery.rules import RULES
-from eoi_jax.models.augmented import Placed
+from eoi_jax.models.augmented import Placed, augmented
 from eoi_jax.models.plant import Plant
 
 
@@ -89,6 +97,28 @@ def long_run_ratio(answer: FreeRunAnswer) -> float:
     return max(ratio_beyond_noise(best[0], base[0]), ratio_beyond_noise(fits[0], fits[1]))
 
 
+def without_stand_ins(answer: FreeRunAnswer, declared: Plant) -> Judged:
+    """The final model without effects of the explanation whose size it does not tell any more.
+
+    They stood in for what free runs found beside them. All stay where the records that judge are
+    predicted worse without them.
+
+    Args:
+        answer: with effects beside those of its base.
+        declared: without effects.
+    """
+    model = answer.final
+    fit = model.refinement
+    stay = tuple(at for at in model.placed if at not in answer.base.placed or has_size(at, fit))
+    if len(stay) in (0, len(model.placed)):
+        return model
+    values = fit.parameters
+    plant = declared.with_parameters({name: values[name] for name in declared.names})
+    leaner = refined(augmented(plant, stay, values), stay, answer.records, answer.judge)
+    as_good = leaner is not None and answer.judge.is_as_good(leaner.runs, model.runs)
+    return leaner if leaner is not None and as_good else model
+
+
 def contradicted_by_fit(answer: FreeRunAnswer) -> bool:
     """Whether the records of the fit could confirm the effects of an answer, and do not.
 
@@ -115,7 +145,7 @@ def surpasses(answer: FreeRunAnswer, plant: Plant, placed: Sequence[Placed]) -> 
     Of that plant the fit counts that the search has refined, if it came to it.
     """
     sites = {at.site for at in placed}
-    refined = [
+    searched = [
         trial.runs
         for contest in answer.rounds
         for trial in contest.trials
@@ -123,5 +153,5 @@ def surpasses(answer: FreeRunAnswer, plant: Plant, placed: Sequence[Placed]) -> 
     ]
     return all(
         answer.judge.prefers(answer.best.runs, runs)
-        for runs in refined or [answer.judge.runs(plant)]
+        for runs in searched or [answer.judge.runs(plant)]
     )

@@ -25,6 +25,7 @@ from eoi_jax.discovery.free_run_evidence import (
     long_run_ratio,
     lost_on_held_out,
     surpasses,
+    without_stand_ins,
 )
 from eoi_jax.discovery.free_run_search import (
     FreeRunAnswer,
@@ -281,12 +282,13 @@ def with_further_effects(
     if confirms and any(isinstance(at.effect, PRODUCTS) for at in further):
         # It names no cause, and would take its share of those that are named.
         hints = [_HINT.format(" and ".join(_signals_of(plant, at) for at in further), ratio)]
-    model = answer.final
     if hints or not confirms:
         answer = answers[0]
         model, further = answer.base, ()
         if not answer.better_base:
             return replace(discovery, notes=(*discovery.notes, *hints))
+    else:
+        model = without_stand_ins(answer, discovery.declared.nominal)
     fit = _fit_of(discovery, answer, model, lowpass)
     long_runs, short_runs = discovery.before, discovery.windows_after
     assert long_runs is not None
@@ -297,6 +299,8 @@ def with_further_effects(
     notes = [*_lasting(discovery, answer, model.placed), *searched, *hints]
     notes.append(_FURTHER.format(labels_of(further), ratio) if further else _BETTER)
     notes += _replaced(discovery, fit.plant, further)
+    if gone := labels_of([at for at in present if at not in model.placed]):
+        notes.append(_STOOD_IN.format(gone))
     return replace(
         discovery, effects=names_of(model.placed), added=added,
         after=runs[0], windows_after=runs[1], found=fit, plant=fit.plant, held_out=answer.judging,
@@ -470,6 +474,10 @@ _HINT = (
 _FURTHER = (
     "{} found in free runs, beside what explains the injection: with it the errors on the held-out "
     "records have {:.3g} of those of the answer without it, refined"
+)
+_STOOD_IN = (
+    "left out: {}, part of what explained the injection; beside what was found in free runs the "
+    "size is not told, and the held-out records are predicted as well"
 )
 _BETTER = (
     "the answer was refined by the error of its free runs: on the held-out records they are "

@@ -11,7 +11,7 @@ import eoi_jax as eoi
 from eoi_jax import effects
 from eoi_jax.discovery import free_run_search, in_free_runs
 from eoi_jax.discovery.free_run_candidates import candidates
-from eoi_jax.discovery.free_run_evidence import exchanged_ratio
+from eoi_jax.discovery.free_run_evidence import exchanged_ratio, without_stand_ins
 from eoi_jax.discovery.free_run_search import (
     FreeRunAnswer,
     Search,
@@ -821,12 +821,12 @@ def fan(t, x, u, p):
 FAN = eoi.Plant(fan, {"b": 2.0, "a": 0.5}, 1, inputs=("u",), outputs=("y",))
 
 
-def blown(seed):
+def blown(seed, offset=0.0):
     """A flow that a propeller drives with the square of its speed, exact from step to step."""
     random = np.random.default_rng(seed)
     u = np.repeat(random.uniform(-1.0, 1.0, COUNT // 15), 15)
     pole = np.exp(-0.8 * 0.1)
-    force = 3.0 * u * np.abs(u) * (1.0 - pole) / 0.8
+    force = (3.0 * u * np.abs(u) + offset) * (1.0 - pole) / 0.8
     y = lfilter([0.0, 1.0], [1.0, -pole], force) + 0.02 * random.standard_normal(COUNT)
     return eoi.Record(0.1 * np.arange(COUNT), u, y, hold="zero", input_names=("u",))
 
@@ -846,3 +846,23 @@ def test_an_effect_whose_parameter_runs_off_becomes_the_law_in_which_it_ends():
     # Many laws end in none.
     unlimited = replace(trial, placed=(place(FAN, effects.InputSaturation(), 0),))
     assert search._in_the_limit(unlimited, unlimited.placed) is None
+
+
+@pytest.mark.parametrize(("offset", "stays"), [(0.0, False), (0.3, True)])
+def test_of_an_explanation_goes_what_free_runs_do_not_tell_beside_their_effects(offset, stays):
+    judge = Judge.of((blown(2, offset),), FAN)
+    assert judge is not None
+    level, square = (
+        place(FAN, kind(), 0) for kind in (effects.ConstantOffset, effects.InputSquare)
+    )
+    models = []
+    for placed in ((level,), (level, square)):
+        plant = augmented(FAN, placed, {"constant_offset": 0.0})
+        fit = refine_once(plant, (blown(1, offset),), None)
+        models.append(Judged(fit, placed, judge.runs(fit.plant)))
+    base, model = models
+    answer = FreeRunAnswer(base, (model,), (blown(1, offset),), judge, True, 1.0)
+    left = without_stand_ins(answer, FAN)
+    assert left.placed == ((level, square) if stays else (square,))
+    if not stays:
+        assert left.refinement.parameters == pytest.approx({"b": 3.0, "a": 0.8}, rel=0.03)
