@@ -6,6 +6,7 @@ of the input. So they are decided with the effects in the model, not before.
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 from jaxtyping import Bool, Float
@@ -60,21 +61,29 @@ class _Trial:
     Attributes:
         hold: zero, linear or smooth, of all inputs or of each.
         search: what it came to.
+        records: to fit, with that hold and skew.
+        indices: of the declared model.
         skew: of the inputs; None: they are where they were logged.
     """
 
     hold: Hold
     search: Searched
+    records: Records
+    indices: HoldIndices
     skew: Skew | None = None
 
     @property
     def answer(self) -> Discovery:
         return self.search.discovery
 
-    @property
+    @cached_property
     def fit(self) -> Identification:
-        """Of the final model."""
-        return self.answer.found
+        """Of the final model, by as many passes with every hold.
+
+        An affine model is fitted by one, whose index another one lowers: observers follow a model
+        that is known.
+        """
+        return _refitted(self.answer, self.records, self.indices)
 
 
 def with_best_hold(
@@ -100,17 +109,19 @@ def with_best_hold(
 
     def searched(hold: Hold, skew: Skew | None = None) -> _Trial:
         delays = None if skew is None else skew.delays
-        found = search(with_hold(records, hold, delays), with_hold(held_out, hold, delays))
-        return _Trial(hold, found, skew)
+        fitted = with_hold(records, hold, delays)
+        return _Trial(
+            hold, search(fitted, with_hold(held_out, hold, delays)), fitted, indices, skew
+        )
 
     first, *alternatives = indices.possible
     best = searched(first)
-    if not best.fit.status.ok:  # with any hold
+    if not best.answer.found.status.ok:  # with any hold
         return best.search
     if _stand_ins(best.answer):  # what the declared model refutes it may refute for what it lacks
         tried = indices.choice.values
         alternatives = sorted((hold for hold in tried if hold != first), key=tried.__getitem__)
-    fits = {first: best.fit}
+    fits = {first: best.fit if alternatives else best.answer.found}
     for hold in alternatives:
         fits[hold] = _refitted(best.answer, with_hold(records, hold), indices)
     trials = [best]
@@ -224,6 +235,8 @@ def _stand_ins(answer: Discovery) -> dict[str, float]:
 
 def _best(trials: Sequence[_Trial]) -> _Trial:
     """The one with the smallest index; of nearly equal ones the simplest answer that explains."""
+    if len(trials) == 1:
+        return trials[0]
     powers = _powers([trial.fit for trial in trials])
 
     def order(place: int) -> tuple:

@@ -139,3 +139,31 @@ def test_what_follows_the_rate_of_an_input_stands_for_a_delay_by_its_lag_less_it
     name, times = answer.plant.inputs[0], {"lead": lead, "lag": 0.05}
     added = Added(effects.InputRate(), name, times, times, "a response")
     assert _stand_ins(replace(answer, added=(added,))) == {name: pytest.approx(late)}
+
+
+def steered(seed):
+    """A ship under a rudder that is held over half a minute, by SciPy; its sensor has noise."""
+    draw, period, count = np.random.default_rng(seed), 0.5, 2400
+    rudder = np.repeat(draw.uniform(-0.5, 0.5, count // 60), 60)
+    state, heading = np.zeros(2), []
+    for u in rudder[::60]:
+
+        def rate(t, x, u=u):
+            return [x[1], 0.05 * u - 0.1 * x[1] - 2.0 * x[1] ** 3 + 0.002]
+
+        grid = period * np.arange(61)
+        run = solve_ivp(rate, (0.0, grid[-1]), state, t_eval=grid, rtol=1e-9, atol=1e-12)
+        heading.append(run.y[0, :-1])
+        state = run.y[:, -1]
+    output = np.concatenate(heading) + 0.01 * draw.standard_normal(count)
+    return eoi.Record(period * np.arange(count), rudder, output, input_names=("rudder",),
+                      output_names=("heading",))  # fmt: skip
+
+
+def test_holds_are_compared_after_as_many_passes():
+    """Affine models are fitted by one pass; with a lag in place of the hold there were several."""
+    ship = eoi.Plant(lambda t, x, u, p: p.k * u - p.d * x.y[1], {"k": 0.04, "d": 0.12}, 2,
+                     inputs=("rudder",), outputs=("heading",))  # fmt: skip
+    found = eoi.discover(ship, steered(1), validation=steered(2))
+    assert set(found.effects) == {"cubic_damping", "constant_offset"}
+    assert found.held_out[0].hold == "zero"
