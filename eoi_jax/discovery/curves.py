@@ -4,12 +4,12 @@ The declared model, and the answer so far, are refined with a natural cubic spli
 turn (`models/effects/curve.py`): every output, every velocity, every input. A spline takes the
 place of the answer, or stands beside it, where that lowers the errors of free runs on held-out
 records as much as what confirms an effect elsewhere: a law that is nearly right then gives way, and
-one that is right does not, since a curve can only do the same. The law that comes nearest to the
-curve is named beside it.
+one that is right does not, since a curve can only do the same. A law that is like the curve takes
+its place where it predicts as well; else the law that comes nearest is named beside it.
 """
 
 from collections.abc import Container, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 from jaxtyping import Float
@@ -92,6 +92,7 @@ def with_curves(
     best = _with_best_curve(search, named, discovery.status.code == "complete")
     if best is named:
         return discovery
+    best = _as_law(search, best)
     answer = search.answer(search.settled(search.leanest(best)), declared.plant)
     if not tells_its_curve(answer.final):
         return discovery
@@ -259,54 +260,105 @@ def _signal(seen: Seen, placed: Placed) -> Float[np.ndarray, " samples"]:
 # -- the nearest law --------------------------------------------------------------------------
 
 
+@dataclass(frozen=True)
+class _Likeness:
+    """A law beside a curve, at its best shape.
+
+    Attributes:
+        law: at the curve's place.
+        share: of the curve's power, less a straight line, that it has.
+        values: its gains and shape there.
+    """
+
+    law: Placed
+    share: float
+    values: dict[str, float]
+
+
+def _as_law(search: Search, model: Judged) -> Judged:
+    """The model with a law in place of its last curve, where that predicts as well.
+
+    A search that adds one effect after another may not come to it: what is the best one alone, and
+    stands in for the law, can hide it.
+    """
+    *earlier, last = model.placed
+    values, declared = model.refinement.parameters, search.base.refinement.plant
+    declared = declared.with_parameters({name: values[name] for name in declared.names})
+    plant, origin = augmented(declared, earlier, values), replace(model, placed=tuple(earlier))
+    likenesses = sorted(_likenesses(model, last), key=lambda item: -item.share)
+    trials = [
+        trial
+        for item in likenesses[: _RULES.trials]
+        if item.share > _RULES.likeness
+        and (trial := search.fitted(augmented(plant, [item.law], item.values), (item.law,), origin))
+    ]
+    if not trials:
+        return model
+    best = search.judge.plainest(trials)
+    return best if search.judge.is_as_good(best.runs, model.runs) else model
+
+
 def _nearest_laws(model: Judged) -> list[str]:
     """A sentence for each curve that is nearly a law of the library."""
     plant, notes = model.refinement.plant, []
-    runs = LinearisedRuns.from_refinement(model.refinement)
     for placed in model.placed:
         if not isinstance(placed.effect, Curve | InputCurve) or getattr(placed.effect, "times", ""):
             continue
-        seen = runs.signal_statistics(placed)
-        values = [model.refinement.parameters[name] for name in placed.names]
-        laws = [
-            law
-            for law in placements(plant, (*standard(), *wider()))
-            if law.channel == placed.channel and law.against is None and law.through is None
-            and type(law.effect).depends_on == placed.effect.depends_on
-            and law.on_input == placed.on_input and not law.on_state and not law.effect.states
-            and isinstance(law.effect, AbstractTerm | AbstractInputEffect)
-        ]  # fmt: skip
-        shares = [_likeness(placed, values, law.effect, seen) for law in laws]
-        laws_near = [
-            (len(law.names), -share, law.effect.name)
-            for law, share in zip(laws, shares, strict=True)
-            if share > max(_RULES.likeness, max(shares) - _RULES.tie)
+        likenesses = _likenesses(model, placed)
+        largest = max((item.share for item in likenesses), default=0.0)
+        near = [
+            (len(item.law.names), -item.share, item.law.effect.name)
+            for item in likenesses
+            if item.share > max(_RULES.likeness, largest - _RULES.tie)
         ]
-        if laws_near:
-            _, negative, name = min(laws_near)
+        if near:
+            _, negative, name = min(near)
             signal, law = placed.effect.channels(plant)[placed.channel], name.replace("_", " ")
             notes.append(_NEAREST.format(signal, law, -100.0 * negative))
     return notes
 
 
-def _likeness(placed: Placed, values: list[float], law: AbstractEffect, seen: Seen) -> float:
-    """Share of a curve's power, less a straight line, that a law has at its best shape."""
+def _likenesses(model: Judged, placed: Placed) -> list[_Likeness]:
+    """Laws of the signal of a curve, beside it; none of a curve that multiplies another signal."""
+    if getattr(placed.effect, "times", ""):
+        return []
+    plant, runs = model.refinement.plant, LinearisedRuns.from_refinement(model.refinement)
+    seen = runs.signal_statistics(placed)
+    values = [model.refinement.parameters[name] for name in placed.names]
+    laws = [
+        law
+        for law in placements(plant, (*standard(), *wider()))
+        if law.channel == placed.channel and law.against is None and law.through is None
+        and type(law.effect).depends_on == placed.effect.depends_on
+        and law.on_input == placed.on_input and not law.on_state and not law.effect.states
+        and isinstance(law.effect, AbstractTerm | AbstractInputEffect)
+    ]  # fmt: skip
+    return [_likeness(placed, values, law, seen) for law in laws]
+
+
+def _likeness(placed: Placed, values: list[float], law: Placed, seen: Seen) -> _Likeness:
+    """A law beside a curve, by least squares at each shape of its grid."""
+    effect = law.effect
     signal = np.sort(_signal(seen, placed))[:: max(len(seen.y) // _RULES.points, 1)]
     zero = np.zeros_like(signal)
     y, v, u = (signal if key == placed.effect.depends_on else zero for key in "yvu")
     at = At(zero, y, v, u, zero[:0])
     line = np.stack([np.ones_like(signal), signal], axis=1)
     bent = _detrended(_force(placed.effect, at, values), line)
-    best, ranges = 0.0, [(gain.lower, gain.upper) for gain in law.gains] or [(0.0, np.inf)]
+    ranges = [(gain.lower, gain.upper) for gain in effect.gains] or [(0.0, np.inf)]
     low, high = np.transpose(ranges)
-    units = np.eye(len(law.gains)) if law.gains else np.zeros((1, 0))
-    for shape in np.asarray(law.grid(seen), dtype=float):
-        columns = [_force(law, at, [*unit, *shape]) for unit in units]
+    units = np.eye(len(effect.gains)) if effect.gains else np.zeros((1, 0))
+    best = _Likeness(law, 0.0, {})
+    for shape in np.asarray(effect.grid(seen), dtype=float):
+        columns = [_force(effect, at, [*unit, *shape]) for unit in units]
         columns = _detrended(np.stack(columns, axis=1), line)
         gains = np.linalg.lstsq(columns, bent, rcond=None)[0]
         if np.all((low <= gains) & (gains <= high)):
             difference = bent - columns @ gains
-            best = max(best, 1.0 - float(difference @ difference) / float(bent @ bent))
+            share = 1.0 - float(difference @ difference) / float(bent @ bent)
+            if share > best.share:
+                own = [*(gains if effect.gains else ()), *shape]
+                best = _Likeness(law, share, dict(zip(law.names, map(float, own), strict=True)))
     return best
 
 
