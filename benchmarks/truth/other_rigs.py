@@ -131,6 +131,21 @@ def _first_order(t: Any, x: Any, u: Any, p: Any) -> Any:
     return p.gain * u - p.loss * x.y[0]
 
 
+def _turning(t: Any, x: Any, u: Any, p: Any) -> Any:
+    del t
+    return p.gain * u - p.damping * x.y[1]
+
+
+def _pushed(t: Any, x: Any, u: Any, p: Any) -> Any:
+    del t, x
+    return p.gain * u
+
+
+def _lifted(t: Any, x: Any, u: Any, p: Any) -> Any:
+    del t
+    return p.gain * u - p.gravity * jnp.sin(x.y[0]) - p.damping * x.y[1]
+
+
 def _drained(t: Any, x: Any, u: Any, p: Any) -> Any:
     del t
     return p.gain * u - p.outflow * jnp.sqrt(jnp.maximum(x.y[0], 1e-9))
@@ -275,6 +290,38 @@ def driven_rigs() -> list[Rig]:
     ]  # fmt: skip
 
 
+def vehicles() -> list[Rig]:
+    """Of what moves far, pushed by propellers, rudders and valves; several effects at once."""
+    cart = eoi.Plant(_pushed, {"gain": 1.0}, 2)
+    arm = eoi.Plant(_lifted, {"gain": 10.0, "gravity": 9.0, "damping": 1.0}, 2)
+    return [
+        Rig("boat", "thrust 1.2 u |u|, drag 0.25 v |v|", ("input_square", "quadratic_drag"),
+            eoi.Plant(_first_order, {"gain": 1.0, "loss": 0.3}, 1),
+            lambda x, u: (1.2 * u * abs(u) - 0.05 * x[0] - 0.25 * x[0] * abs(x[0]),),
+            (0.0,), 0.2, 1500, levels(1.0, 40, -1.0)),
+        Rig("ship's heading", "damping 2 r³, an offset", ("cubic_damping", "constant_offset"),
+            eoi.Plant(_turning, {"gain": 0.05, "damping": 0.1}, 2),
+            lambda x, u: (x[1], 0.05 * u - 0.1 * x[1] - 2.0 * x[1] ** 3 + 0.002),
+            (0.0, 0.0), 0.5, 2400, levels(0.5, 60, -0.5)),
+        Rig("arm under a propeller", "thrust 30 u |u|, friction 0.3",
+            ("input_square", "coulomb_friction"), arm,
+            lambda x, u: (x[1], 30.0 * u * abs(u) - 8.0 * math.sin(x[0]) - 0.8 * x[1]
+                          - 0.3 * math.tanh(x[1] / 0.01)),
+            (0.3, 0.0), 0.01, 4000, levels(0.6, 200, 0.1)),
+        Rig("cart on a slope, controlled", "friction 0.25 and 0.6 v, an offset",
+            ("viscous_friction", "coulomb_friction", "constant_offset"), cart,
+            lambda x, u: (x[1], 2.0 * u - 0.6 * x[1] - 0.25 * math.tanh(x[1] / 0.01) - 0.4),
+            (0.0, 0.0), 0.01, 6000, levels(0.5, 300, -0.5),
+            lambda reference, x: 8.0 * (reference - x[0]) - 5.0 * x[1]),
+        Rig("cylinder behind a valve", "dead zone 0.12, 0.7 of the gain one way, lag 0.025 s",
+            ("input_dead_zone", "input_asymmetry", "sensor_lag"),
+            eoi.Plant(_pushed, {"gain": 0.4}, 1),
+            lambda x, u: (x[1], 40.0 * (0.5 * math.copysign(max(abs(u) - 0.12, 0.0), u)
+                                        * (0.7 if u < 0.0 else 1.0) - x[1])),
+            (0.0, 0.0), 0.02, 1500, levels(1.0, 25, -1.0)),
+    ]  # fmt: skip
+
+
 def main() -> None:
     """One row a rig."""
     options = arguments(__doc__)
@@ -288,7 +335,7 @@ def main() -> None:
         "library has no name. Times are of first calls, with compilation."
     )
     rows = []
-    for rig in [*rigs(), *driven_rigs()][:: 4 if options.quick else 1]:
+    for rig in [*rigs(), *driven_rigs(), *vehicles()][:: 4 if options.quick else 1]:
         fitted, held = (record(rig, seed, rig.samples) for seed in SEEDS)
         started = time.perf_counter()
         found = eoi.discover(rig.model, fitted, held)

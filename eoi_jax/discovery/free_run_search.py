@@ -279,16 +279,16 @@ class Search:
     def fitted(self, plant: Plant, placed: tuple[Placed, ...], best: Judged) -> Judged | None:
         """A model refined over runs as those of the best one so far, and judged.
 
-        Without earlier effects whose size is not told any more: they stood in for this one. None
-        where it has no free run or no fit, or where the records do not tell the size of a new one,
-        unless that has become the law in which it ends.
+        Without effects whose size is not told: earlier ones stood in for the new one, and of two new
+        ones one may be enough. None where it has no free run or no fit, or where the records do not
+        tell the size of any new one, unless that has become the law in which it ends.
         """
         if not_simulated(plant):
             return None
         window = best.refinement.window
         trial = _fitted(plant, (*best.placed, *placed), self.searched, window, self.judge)
         while trial is not None and (unknown := self._of_unknown_size(trial)):
-            if any(item in placed for item in unknown):
+            if all(item in unknown for item in placed):
                 return self._in_the_limit(trial, unknown)
             trial = self.with_only([item for item in trial.placed if item not in unknown], trial)
         return None if trial is None else self._without_turned(trial)

@@ -848,6 +848,19 @@ def test_an_effect_whose_parameter_runs_off_becomes_the_law_in_which_it_ends():
     assert search._in_the_limit(unlimited, unlimited.placed) is None
 
 
+def test_of_two_effects_one_may_be_enough():
+    judge = Judge.of((blown(2),), FAN)
+    assert judge is not None
+    search = Search.begun([FAN], (blown(1),), judge)
+    assert search is not None
+    placed = tuple(place(FAN, kind(), 0) for kind in (effects.ConstantOffset, effects.InputSquare))
+    plant = augmented(search.base.refinement.plant, placed, {"constant_offset": 0.1})
+    trial = search.fitted(plant, placed, search.base)
+    assert trial is not None
+    assert trial.placed == placed[1:]
+    assert trial.refinement.parameters == pytest.approx({"b": 3.0, "a": 0.8}, rel=0.03)
+
+
 @pytest.mark.parametrize(("offset", "stays"), [(0.0, False), (0.3, True)])
 def test_of_an_explanation_goes_what_free_runs_do_not_tell_beside_their_effects(offset, stays):
     judge = Judge.of((blown(2, offset),), FAN)
