@@ -38,7 +38,8 @@ class Rig:
     Attributes:
         name: what it is.
         hidden: what the declared model lacks, in words.
-        effects: names that are right; () where the library has none.
+        effects: names that are right, equivalent ones in one entry by "|"; () where the library has
+            none.
         model: the declared one.
         rate: dx/dt of the true one.
         start: its state.
@@ -314,12 +315,19 @@ def vehicles() -> list[Rig]:
             (0.0, 0.0), 0.01, 6000, levels(0.5, 300, -0.5),
             lambda reference, x: 8.0 * (reference - x[0]) - 5.0 * x[1]),
         Rig("cylinder behind a valve", "dead zone 0.12, 0.7 of the gain one way, lag 0.025 s",
-            ("input_dead_zone", "input_asymmetry", "sensor_lag"),
+            ("input_dead_zone", "input_asymmetry|rate_asymmetry", "sensor_lag|actuator_lag"),
             eoi.Plant(_pushed, {"gain": 0.4}, 1),
             lambda x, u: (x[1], 40.0 * (0.5 * math.copysign(max(abs(u) - 0.12, 0.0), u)
                                         * (0.7 if u < 0.0 else 1.0) - x[1])),
             (0.0, 0.0), 0.02, 1500, levels(1.0, 25, -1.0)),
     ]  # fmt: skip
+
+
+def is_right(rig: Rig, found: eoi.Discovery) -> bool:
+    """Whether what is hidden is named, by one of its names, and nothing else."""
+    named = set(found.effects)
+    alternatives = [set(names.split("|")) for names in rig.effects]
+    return len(named) == len(alternatives) and all(named & names for names in alternatives)
 
 
 def main() -> None:
@@ -346,7 +354,7 @@ def main() -> None:
         values = ", ".join(f"{value:.4g}" for one in found.added
                            for value in one.parameters.values())  # fmt: skip
         named = ", ".join(found.effects) or found.status.code.replace("_", " ")
-        right = set(found.effects) == set(rig.effects)
+        right = is_right(rig, found)
         rows.append([rig.name, rig.hidden, f"{named}: {values}" if values else named,
                      "yes" if right else "**no**", f"{before:.3g} → {after:.3g}",
                      f"{seconds:.0f} s"])  # fmt: skip

@@ -279,9 +279,9 @@ class Search:
     def fitted(self, plant: Plant, placed: tuple[Placed, ...], best: Judged) -> Judged | None:
         """A model refined over runs as those of the best one so far, and judged.
 
-        Without effects whose size is not told: earlier ones stood in for the new one, and of two new
-        ones one may be enough. None where it has no free run or no fit, or where the records do not
-        tell the size of any new one, unless that has become the law in which it ends.
+        Without effects whose size is not told: earlier ones stood in for the new one, and of two
+        new ones one may be enough. None where it has no free run or no fit, or where the records do
+        not tell the size of any new one, unless that has become the law in which it ends.
         """
         if not_simulated(plant):
             return None
