@@ -7,12 +7,13 @@ parameters are biased hides right effects from both. The search:
    from the estimate of the passes and from nominal values, with each hold of the inputs that is
    possible; of these the one with the smallest free-run errors on the records that judge.
 2. Candidates: the effects, and pairs, of which a score test of the base says most (`remaining`),
-   and the set that the injection came to; an offset, a loss to a level that nothing measures, and
+   and the set that the injection came to; an offset, a loss with an offset, both with a spring, and
    cells in series, in any case; laws that are like a term of the declared model, in its place
-   (`replacements`).
+   (`free_run_candidates.py`, `replacements.py`).
 3. Each of the first few is added, and all parameters are refined again; of an effect with several
    forms also the further ones, as long as they fit better, and of one of which the score test has
-   several maxima (the wave number of a ripple) from each.
+   several maxima (the wave number of a ripple) from each. Of a pair one may be enough; an effect
+   whose parameter runs off becomes the law in which it ends.
 4. The judge: the free-run errors on records that no fit has seen, whole and in windows. The best
    candidate stays where their mean logarithm falls enough, and the paired difference over blocks of
    these records exceeds its own standard error by enough; one that takes the place of an effect of
@@ -288,7 +289,7 @@ class Search:
         window = best.refinement.window
         trial = _fitted(plant, (*best.placed, *placed), self.searched, window, self.judge)
         while trial is not None and (unknown := self._of_unknown_size(trial)):
-            if all(item in unknown for item in placed):
+            if all(item in unknown for item in trial.placed if item in placed):
                 return self._in_the_limit(trial, unknown)
             trial = self.with_only([item for item in trial.placed if item not in unknown], trial)
         return None if trial is None else self._without_turned(trial)
@@ -301,10 +302,12 @@ class Search:
         """
         plant, placed = self.base.refinement.plant, []
         for item in model.placed:
-            law = item.effect.limit() if item in unknown else item.effect
-            if law is None:
+            if item not in unknown:
+                placed.append(item)
+            elif (law := item.effect.limit()) is not None:
+                placed.append(place(plant, law, item.channel))
+            else:
                 return None
-            placed.append(item if item not in unknown else place(plant, law, item.channel))
         trial = self.with_only(placed, model)
         return None if trial is None or self._of_unknown_size(trial) else trial
 

@@ -861,6 +861,21 @@ def test_of_two_effects_one_may_be_enough():
     assert trial.refinement.parameters == pytest.approx({"b": 3.0, "a": 0.8}, rel=0.03)
 
 
+def test_of_two_effects_none_may_be_told(monkeypatch):
+    """One after the other: what is left then is no trial of either."""
+    judge = Judge.of((blown(2),), FAN)
+    assert judge is not None
+    search = Search.begun([FAN], (blown(1),), judge)
+    assert search is not None
+    placed = tuple(
+        place(FAN, kind(), 0) for kind in (effects.ConstantOffset, effects.QuadraticDrag)
+    )
+    plant = augmented(search.base.refinement.plant, placed,
+                      {name: 0.01 for at in placed for name in at.names})  # fmt: skip
+    monkeypatch.setattr(Search, "_of_unknown_size", lambda _, model: list(model.placed[:1]))
+    assert search.fitted(plant, placed, search.base) is None
+
+
 @pytest.mark.parametrize(("offset", "stays"), [(0.0, False), (0.3, True)])
 def test_of_an_explanation_goes_what_free_runs_do_not_tell_beside_their_effects(offset, stays):
     judge = Judge.of((blown(2, offset),), FAN)
