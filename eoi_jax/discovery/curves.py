@@ -302,7 +302,7 @@ def _nearest_laws(model: Judged) -> list[str]:
     """A sentence for each curve that is nearly a law of the library."""
     plant, notes = model.refinement.plant, []
     for placed in model.placed:
-        if not isinstance(placed.effect, Curve | InputCurve) or getattr(placed.effect, "times", ""):
+        if not isinstance(placed.effect, Curve | InputCurve):
             continue
         likenesses = _likenesses(model, placed)
         largest = max((item.share for item in likenesses), default=0.0)

@@ -133,12 +133,6 @@ def contradicted_by_fit(answer: FreeRunAnswer) -> bool:
     return only_otherwise(judge, best, base)
 
 
-_LOST = (
-    "free runs of no model predict the held-out records better than a constant does, which says "
-    "nothing of effects"
-)
-
-
 def surpasses(answer: FreeRunAnswer, plant: Plant, placed: Sequence[Placed]) -> bool:
     """Whether an answer predicts better than a plant with other effects, by more than chance.
 
@@ -155,3 +149,9 @@ def surpasses(answer: FreeRunAnswer, plant: Plant, placed: Sequence[Placed]) -> 
         answer.judge.prefers(answer.best.runs, runs)
         for runs in searched or [answer.judge.runs(plant)]
     )
+
+
+_LOST = (
+    "free runs of no model predict the held-out records better than a constant does, which says "
+    "nothing of effects"
+)
