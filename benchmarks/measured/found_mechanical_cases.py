@@ -41,15 +41,17 @@ def rotor_pendulum(folder: Path) -> Rig:
     )  # fmt: skip
 
 
+def _damped(t: Any, x: eoi.State, u: Any, p: Any) -> Any:
+    """Acceleration in proportion to the input, less viscous friction."""
+    del t
+    return p.gain * u - p.damping * x.y[1]
+
+
 def rail_cart(folder: Path) -> Rig:
     """A cart on a rail, current reversed by a relay: force in proportion, viscous friction."""
 
-    def cart(t: Any, x: eoi.State, u: Any, p: Any) -> Any:
-        del t
-        return p.gain * u - p.damping * x.y[1]
-
     plant = eoi.Plant(
-        cart, {"gain": 400.0, "damping": 2.0}, relative_degree=2,
+        _damped, {"gain": 400.0, "damping": 2.0}, relative_degree=2,
         inputs=("current",), outputs=("position",),
         units={"current": "A", "position": "mm", "gain": "mm/s²/A", "damping": "1/s"},
     )  # fmt: skip
@@ -69,12 +71,8 @@ def rail_cart(folder: Path) -> Rig:
 def relay_motor(folder: Path) -> Rig:
     """A geared motor at full duty, reversed by a relay: gain and viscous loss."""
 
-    def motor(t: Any, x: eoi.State, u: Any, p: Any) -> Any:
-        del t
-        return p.gain * u - p.damping * x.y[1]
-
     plant = eoi.Plant(
-        motor, {"gain": 60000.0, "damping": 100.0}, relative_degree=2,
+        _damped, {"gain": 60000.0, "damping": 100.0}, relative_degree=2,
         inputs=("duty",), outputs=("angle",),
         units={"duty": "1", "angle": "deg", "gain": "deg/s²", "damping": "1/s"},
     )  # fmt: skip
@@ -113,12 +111,8 @@ def mouse_wheel(folder: Path) -> Rig:
 def tilt_ball(folder: Path) -> Rig:
     """A ball on a beam that a loop tilts: acceleration in proportion, viscous friction."""
 
-    def ball(t: Any, x: eoi.State, u: Any, p: Any) -> Any:
-        del t
-        return p.gain * u - p.damping * x.y[1]
-
     plant = eoi.Plant(
-        ball, {"gain": 100.0, "damping": 1.0}, relative_degree=2,
+        _damped, {"gain": 100.0, "damping": 1.0}, relative_degree=2,
         inputs=("tilt",), outputs=("position",),
         units={"tilt": "deg", "position": "mm", "gain": "mm/s²/deg", "damping": "1/s"},
     )  # fmt: skip
