@@ -320,6 +320,10 @@ def vehicles() -> list[Rig]:
             lambda x, u: (x[1], 40.0 * (0.5 * math.copysign(max(abs(u) - 0.12, 0.0), u)
                                         * (0.7 if u < 0.0 else 1.0) - x[1])),
             (0.0, 0.0), 0.02, 1500, levels(1.0, 25, -1.0)),
+        Rig("conveyor that stops", "Coulomb friction 1.5", ("coulomb_friction",),
+            eoi.Plant(_first_order, {"gain": 1.0, "loss": 1.0}, 1, units={"y": "m/s"}),
+            lambda x, u: (0.9 * u - 1.1 * x[0] - 1.5 * math.tanh(x[0] / 0.01),),
+            (0.0,), 0.1, 1200, levels(7.0, 35, 0.0)),
     ]  # fmt: skip
 
 

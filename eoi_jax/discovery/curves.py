@@ -18,7 +18,8 @@ from eoi_jax.data.holds import with_hold
 from eoi_jax.data.record import Record
 from eoi_jax.discovery.additions import has_size
 from eoi_jax.discovery.confirm import beyond_noise
-from eoi_jax.discovery.free_run_search import Search, refined
+from eoi_jax.discovery.free_run_search import FreeRunAnswer
+from eoi_jax.discovery.free_run_trials import Search, refined
 from eoi_jax.discovery.in_free_runs import answered, placed_effects
 from eoi_jax.discovery.judge import Judge, Judged
 from eoi_jax.discovery.result import Added, Discovery
@@ -93,7 +94,7 @@ def with_curves(
     if best is named:
         return discovery
     best = _as_law(search, best)
-    answer = search.answer(search.settled(search.leanest(best)), declared.plant)
+    answer = FreeRunAnswer.of(search, search.settled(search.leanest(best)), declared.plant)
     if not tells_its_curve(answer.final):
         return discovery
     found = answered(discovery, answer, lowpass)

@@ -6,13 +6,8 @@ import numpy as np
 
 from eoi_jax.data.record import Record
 from eoi_jax.discovery.additions import has_size
-from eoi_jax.discovery.free_run_search import (
-    FreeRunAnswer,
-    best_of,
-    over_both,
-    portion,
-    refined,
-)
+from eoi_jax.discovery.free_run_search import FreeRunAnswer
+from eoi_jax.discovery.free_run_trials import best_of, over_both, portion, refined
 from eoi_jax.discovery.judge import (
     Judge,
     Judged,

@@ -19,6 +19,7 @@ from eoi_jax.discovery.additions import (
 )
 from eoi_jax.discovery.confirm import beyond_noise
 from eoi_jax.discovery.diagnose import diagnose
+from eoi_jax.discovery.free_run_candidates import Model
 from eoi_jax.discovery.free_run_evidence import (
     contradicted_by_fit,
     exchanged_ratio,
@@ -27,14 +28,8 @@ from eoi_jax.discovery.free_run_evidence import (
     surpasses,
     without_stand_ins,
 )
-from eoi_jax.discovery.free_run_search import (
-    FreeRunAnswer,
-    Model,
-    RecordPair,
-    Search,
-    refined,
-    search_free_runs,
-)
+from eoi_jax.discovery.free_run_search import FreeRunAnswer, RecordPair, search_free_runs
+from eoi_jax.discovery.free_run_trials import Search, refined
 from eoi_jax.discovery.judge import Judge, Judged, mean_error
 from eoi_jax.discovery.probability import Standing, from_contests
 from eoi_jax.discovery.refit import on_bounds

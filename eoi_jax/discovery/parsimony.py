@@ -51,7 +51,7 @@ def with_simpler_laws(
     """
     for wide, plain, simpler_set in simpler(task.plant, fit, placed, task.effects):
         refit = estimate(plain, task.prepared)
-        if wide.effect.limit() is not None:
+        if limit_of(task.plant, wide) is not None:
             refit = _by_free_runs(task, refit)
         simple_runs = free_runs(task, refit.plant)
         if refit.status.ok and as_good(simple_runs, runs):
@@ -96,16 +96,34 @@ def simpler(
         remaining = (*placed[:i], *placed[i + 1 :])
         if _is_negligible_offset(estimate, wide, remaining):
             yield wide, _plant_with(declared, estimate.plant, remaining, {}), remaining
-        if (law := wide.effect.limit()) is not None:
-            candidate = (*placed[:i], place(declared, law, wide.channel), *placed[i + 1 :])
-            yield wide, _plant_with(declared, estimate.plant, candidate, {}), candidate
-        for effect in library:
-            if isinstance(effect, AbstractTerm) and wide.effect.contains == (effect.name,):
-                plain = place(declared, effect, wide.channel, wide.against, wide.through)
-                if plain.site not in {neighbor.site for neighbor in remaining}:
-                    candidate = (*placed[:i], plain, *placed[i + 1 :])
-                    names = dict(zip(plain.names, wide.names, strict=False))  # gains for gains
-                    yield wide, _plant_with(declared, estimate.plant, candidate, names), candidate
+        for plain in plainer(declared, wide, library):
+            if plain.site not in {neighbor.site for neighbor in remaining}:
+                candidate = (*placed[:i], plain, *placed[i + 1 :])
+                names = dict(zip(plain.names, wide.names, strict=False))  # gains for gains
+                yield wide, _plant_with(declared, estimate.plant, candidate, names), candidate
+
+
+def plainer(plant: Plant, wide: Placed, library: Sequence[AbstractEffect]) -> Iterator[Placed]:
+    """Laws in which an effect ends, or of which it contains one alone, at its place.
+
+    Args:
+        plant: that has the channels.
+        wide: the effect.
+        library: contains the simpler effects.
+    """
+    location = wide.channel, wide.against, wide.through
+    if (law := limit_of(plant, wide)) is not None:
+        yield law
+    for effect in library:
+        if isinstance(effect, AbstractTerm) and wide.effect.contains == (effect.name,):
+            yield place(plant, effect, *location)
+
+
+def limit_of(plant: Plant, wide: Placed) -> Placed | None:
+    """The law in which an effect ends where a parameter runs off, at its place."""
+    kind = plant.kinds.get(wide.effect.channels(plant)[wide.channel], "")
+    law = wide.effect.limit(kind)
+    return None if law is None else place(plant, law, wide.channel, wide.against, wide.through)
 
 
 def _is_negligible_offset(

@@ -9,7 +9,7 @@ from scipy.integrate import solve_ivp
 import eoi_jax as eoi
 from eoi_jax.discovery import curves
 from eoi_jax.discovery.curves import misses_a_law
-from eoi_jax.discovery.free_run_search import Search
+from eoi_jax.discovery.free_run_trials import Search
 from eoi_jax.discovery.judge import Judge, Judged
 from eoi_jax.discovery.result import Added
 from eoi_jax.models.augmented import augmented, place

@@ -9,14 +9,11 @@ from scipy.signal import lfilter
 
 import eoi_jax as eoi
 from eoi_jax import effects
-from eoi_jax.discovery import free_run_search, in_free_runs
+from eoi_jax.discovery import free_run_search, free_run_trials, in_free_runs
 from eoi_jax.discovery.free_run_candidates import candidates
 from eoi_jax.discovery.free_run_evidence import exchanged_ratio, without_stand_ins
-from eoi_jax.discovery.free_run_search import (
-    FreeRunAnswer,
-    Search,
-    search_free_runs,
-)
+from eoi_jax.discovery.free_run_search import FreeRunAnswer, search_free_runs
+from eoi_jax.discovery.free_run_trials import Search
 from eoi_jax.discovery.judge import Judge, Judged, _standardised, mean_error, only_otherwise
 from eoi_jax.discovery.probability import Contest
 from eoi_jax.models.augmented import augmented, place
@@ -201,8 +198,8 @@ def test_a_few_held_out_samples_that_drift_do_not_choose_between_fits_of_one_mod
     assert search is not None
     aged = PLATE.with_parameters({**search.base.refinement.parameters, "k": 0.41})
     assert search.judge.prefers(search.judge.runs(aged), search.base.runs)
-    assert search._predicts_better(search.base, aged)
-    assert not replace(search, searched=judging)._predicts_better(search.base, aged)
+    assert search.predicts_better(search.base, aged)
+    assert not replace(search, searched=judging).predicts_better(search.base, aged)
 
 
 def shaken(seed, count=300, amplitude=9.0, samples=8):
@@ -523,6 +520,7 @@ def test_the_search_goes_on_from_what_is_left_without_stand_ins(monkeypatch):
     monkeypatch.setattr(free_run_search, "candidates", tried_from)
     monkeypatch.setattr(Search, "fitted", lambda _, __, ___, best: found_from[id(best)])
     monkeypatch.setattr(Search, "further_forms", lambda *_: [])
+    monkeypatch.setattr(Search, "narrowed", lambda _, model, __: model)
     monkeypatch.setattr(Search, "leanest", lambda _, best: stop if best is wide else best)
     monkeypatch.setattr(Search, "settled", lambda _, best: [best])
     monkeypatch.setattr(
@@ -530,7 +528,11 @@ def test_the_search_goes_on_from_what_is_left_without_stand_ins(monkeypatch):
     )
     search = Search(judge.records, judge.records, judge, (base,))
     ended = FreeRunAnswer(base, (answer,), judge.records, judge, better_base=False, share=1.0)
-    monkeypatch.setattr(Search, "answer", lambda _, fits, __: replace(ended, fits=tuple(fits)))
+    monkeypatch.setattr(
+        FreeRunAnswer,
+        "of",
+        lambda _, fits, __, rounds: replace(ended, fits=tuple(fits), rounds=tuple(rounds)),
+    )
     found = search_free_runs([plant], [(judge.records, judge.records)], [])
     assert found is not None
     assert found.best is answer
@@ -558,6 +560,7 @@ def test_an_effect_with_which_refinement_tells_no_parameter_any_more_goes(monkey
     )
     monkeypatch.setattr(Search, "fitted", lambda _, __, ___, best: further[id(best)])
     monkeypatch.setattr(Search, "further_forms", lambda *_: [])
+    monkeypatch.setattr(Search, "narrowed", lambda _, model, __: model)
     monkeypatch.setattr(Search, "leanest", lambda _, best: best)
     monkeypatch.setattr(
         Judge, "prefers", lambda _, trial, best: mean_error(trial) < mean_error(best)
@@ -569,7 +572,7 @@ def test_an_effect_with_which_refinement_tells_no_parameter_any_more_goes(monkey
         last = placed[-1].effect.name if placed else ""
         return [with_errors(model, b=told.get(last, 7.0))]
 
-    monkeypatch.setattr(free_run_search, "over_both", refined)
+    monkeypatch.setattr(free_run_trials, "over_both", refined)
     search = Search(judge.records, judge.records, judge, (base,))
     found = search_free_runs([base.refinement.plant], [(judge.records, judge.records)], [])
     assert found is not None
@@ -599,12 +602,12 @@ def test_records_too_short_for_windows_are_not_judged():
     ],
 )
 def test_long_records_are_searched_in_part(monkeypatch, lengths, most, chosen):
-    rules = replace(free_run_search._RULES, samples=most)
-    monkeypatch.setattr(free_run_search, "_RULES", rules)
+    rules = replace(free_run_trials._RULES, samples=most)
+    monkeypatch.setattr(free_run_trials, "_RULES", rules)
     assert portion_of(lengths) == chosen
     # Four steps of a state with its derivatives by three parameters and its start.
-    rules = replace(free_run_search._RULES, samples=10**6, work=20 * most)
-    monkeypatch.setattr(free_run_search, "_RULES", rules)
+    rules = replace(free_run_trials._RULES, samples=10**6, work=20 * most)
+    monkeypatch.setattr(free_run_trials, "_RULES", rules)
     assert portion_of(lengths) == chosen
 
 
@@ -614,7 +617,7 @@ def portion_of(lengths):
         eoi.Record(np.arange(count), np.zeros(count), np.arange(count) + 100.0 * i, hold="zero")
         for i, count in enumerate(lengths)
     )
-    searched = free_run_search.portion(records, PLATE)
+    searched = free_run_trials.portion(records, PLATE)
     return tuple(records.index(record) for record in searched)
 
 
@@ -622,7 +625,7 @@ def portion_of(lengths):
 @pytest.mark.long
 def test_of_a_single_long_record_its_beginning_is_searched(monkeypatch):
     monkeypatch.setattr(
-        free_run_search, "_RULES", replace(free_run_search._RULES, samples=COUNT // 2)
+        free_run_trials, "_RULES", replace(free_run_trials._RULES, samples=COUNT // 2)
     )
     record, judging = measured(1), measured(2)
     answer = search_free_runs([PLATE], [((record,), (judging,))], [effects.SecondNode()])

@@ -8,7 +8,8 @@ from scipy.linalg import expm
 import eoi_jax as eoi
 from eoi_jax import effects
 from eoi_jax.discovery.additions import level_notes
-from eoi_jax.discovery.free_run_search import Search, search_free_runs
+from eoi_jax.discovery.free_run_search import search_free_runs
+from eoi_jax.discovery.free_run_trials import Search
 from eoi_jax.discovery.judge import Judge, Judged
 from eoi_jax.discovery.replacements import replaced_terms, replacements
 from eoi_jax.discovery.result import Added
@@ -108,7 +109,7 @@ def test_terms_stay_where_an_effect_without_parameter_has_turned_all_of_them(mon
     search = Search.begun([plant], (record,), judge)
     assert search is not None
     turned = lambda base, model: ("renewal",)  # noqa: E731
-    monkeypatch.setattr("eoi_jax.discovery.free_run_search.turned_terms", turned)
+    monkeypatch.setattr("eoi_jax.discovery.free_run_trials.turned_terms", turned)
     cells = place(plant, effects.CellsInSeries(), 0, through=0)
     fit = search.fitted(
         augmented(search.base.refinement.plant, (cells,), {}), (cells,), search.base
@@ -146,7 +147,7 @@ def test_a_turned_term_stays_where_it_predicts_better(monkeypatch):
     # A level may have either sign: that effects have turned it is no reason to leave it out.
     search, law = tank_search(0.3, -0.4)
     turned = lambda base, model: ("level",)  # noqa: E731
-    monkeypatch.setattr("eoi_jax.discovery.free_run_search.turned_terms", turned)
+    monkeypatch.setattr("eoi_jax.discovery.free_run_trials.turned_terms", turned)
     plant = augmented(search.base.refinement.plant, (law,), {"cubic_damping": 0.0})
     fit = search.fitted(plant, (law,), search.base)
     assert fit is not None

@@ -96,6 +96,7 @@ class Seen:
         lags: lags at which the residual follows the input [s].
         kind: what the output is (`models/kinds.py`); "" where that is not known.
         wavenumbers: at which the residual repeats along the position, many periods [1/unit of y].
+        rests: whether the output, a speed, stays near zero for a while, in free runs.
     """
 
     y: Float[np.ndarray, " samples"]
@@ -110,6 +111,7 @@ class Seen:
     lags: Float[np.ndarray, " lags"] = field(default_factory=lambda: np.zeros(0))
     kind: str = ""
     wavenumbers: Float[np.ndarray, " wavenumbers"] = field(default_factory=lambda: np.zeros(0))
+    rests: bool = False
 
     @property
     def is_speed(self) -> bool:
@@ -162,8 +164,13 @@ class AbstractEffect(ABC):
         """What a fit goes on to where this one fits; None for an effect of a single form."""
         return None
 
-    def limit(self) -> "AbstractEffect | None":
-        """What it becomes where a parameter grows without bound; None where that is no law."""
+    def limit(self, kind: str = "") -> "AbstractEffect | None":
+        """What it becomes where a parameter runs off; None where that is no law.
+
+        Args:
+            kind: what the output that it acts on is (`models/kinds.py`).
+        """
+        del kind
         return None
 
     def since(self, start: float) -> "AbstractEffect":

@@ -23,14 +23,18 @@ from eoi_jax.models.plant import Plant, State
 class AbstractFriction(AbstractTerm):
     """A function of the velocity.
 
-    Of a speed that never reverses, dry friction is a constant, which is another effect.
+    Of a speed that never reverses, dry friction is a constant, which is another effect; unless it
+    comes to rest and sticks, which free runs tell from a constant: the sign of a measured speed
+    at rest is that of its noise.
     """
 
     depends_on = "v"
     reverses: ClassVar[bool] = False
+    sticks: ClassVar[bool] = False
 
     def shows(self, seen: Seen) -> bool:
-        return seen.is_speed and (turns(seen.v) or not (self.reverses and seen.measured))
+        distinct = turns(seen.v) or not (self.reverses and seen.measured)
+        return seen.is_speed and (distinct or (self.sticks and seen.rests))
 
 
 class ViscousFriction(AbstractFriction):
@@ -52,6 +56,7 @@ class CoulombFriction(AbstractFriction):
     sentence = "Coulomb (dry) friction"
     gains = (Parameter("", "{f}", lower=0.0),)
     reverses = True
+    sticks = True
 
     def term(self, at: At, gain: Any, shape: Any) -> Any:
         return -gain[0] * jnp.sign(at.v)
@@ -82,6 +87,7 @@ class StribeckFriction(AbstractFriction):
     sentence = "Stribeck friction: dry friction that is higher near rest"
     gains = (Parameter("level", "{f}", lower=0.0), Parameter("rise", "{f}", lower=0.0))
     shapes = (Parameter("velocity", "{v}", lower=0.0),)
+    sticks = True
     contains = ("coulomb_friction",)
 
     def grid(self, seen: Seen) -> Grid:
@@ -172,6 +178,7 @@ class LoadFriction(AbstractFriction):
     rarity = 1.0
     gains = (Parameter("", "{f}/({u})", lower=0.0),)
     reverses = True
+    sticks = True
     only_in_free_runs = True
 
     def term(self, at: At, gain: Any, shape: Any) -> Any:

@@ -218,7 +218,8 @@ class InputQuadratic(AbstractInputEffect):
         """Whether it is an odd or an even function of u."""
         return "odd" if self.odd else "even"
 
-    def limit(self) -> InputSquare:
+    def limit(self, kind: str = "") -> InputSquare:
+        del kind
         return InputSquare(self.odd)
 
     def grid(self, seen: Seen) -> Grid:

@@ -16,6 +16,7 @@ from eoi_jax.models.effects.effect import (
     quantiles,
     turns,
 )
+from eoi_jax.models.effects.friction import CoulombFriction
 from eoi_jax.models.plant import Plant
 
 _CELSIUS = ("°C", "degC", "C")
@@ -123,6 +124,10 @@ class PowerLoss(AbstractTerm):
 
     def shows(self, seen: Seen) -> bool:
         return not turns(seen.y)
+
+    def limit(self, kind: str = "") -> CoulombFriction | None:
+        """Of a speed dry friction, where the exponent goes to zero."""
+        return CoulombFriction() if kind == "speed" else None
 
     def grid(self, seen: Seen) -> Grid:
         return np.array([[0.5], [1.5], [2.0], [2.5], [3.0], [4.0]])

@@ -232,6 +232,16 @@ def test_contained_effects_have_canonical_names():
     assert all(set(one.contains) <= names | ends for one in EFFECTS)
 
 
+def test_a_power_of_a_speed_ends_in_dry_friction():
+    """As the exponent goes to zero; of a level that is no law."""
+    power = effects.PowerLoss()
+    assert power.limit("speed") == effects.CoulombFriction()
+    assert power.limit("level") is None
+    at = At(0.0, *np.array([[-2.0, 0.3]] * 2), 0.0, ())
+    friction = effects.CoulombFriction().term(at, (1.5,), ())
+    np.testing.assert_allclose(power.term(at, (1.5,), (1e-9,)), friction, rtol=1e-8)
+
+
 # -- on a record: the columns of the regression are what a free run does --------------------------
 
 # None of them on a grid.
