@@ -179,14 +179,16 @@ def with_held_inputs(
     parts = (with_hold(part, shared(zeros)) for part in (records, held_out))
     rival = answered(*parts)
     runs, rival_runs = discovery.after, rival.after
-    if rival.status.code not in ("complete", "partial") or runs is None or rival_runs is None:
+    explains = rival.status.code in ("complete", "partial", "nothing_missing")
+    if not explains or runs is None or rival_runs is None:
         return discovery
     growth = mean_error((rival_runs, rival.windows_after))
     growth -= mean_error((runs, discovery.windows_after))
     fewer = len(rival.added) < len(discovery.added)
-    if growth > (RULES.judge.same_error if fewer else -RULES.judge.min_fall):
+    # An effect that lowers them by less would be left out elsewhere.
+    if growth >= (RULES.judge.min_fall if fewer else -RULES.judge.min_fall):
         return discovery
-    better = "no larger errors, with fewer effects," if fewer else "smaller errors"
+    better = "errors as small, with fewer effects, as" if fewer else "smaller errors than"
     holds = (hold_text(shared(part), names) for part in (zeros, words))
     text = HoldNote(_HELD.format(better, *holds))
     return replace(rival, notes=(text, *rival.notes))
@@ -311,6 +313,4 @@ def _power(
     return float(np.exp(np.mean(np.log(np.maximum(means, 1e-300))))) if means else float("inf")
 
 
-_HELD = (
-    "hold {1}: free runs on the held-out records have {0} than with {2} and half a sample of delay"
-)
+_HELD = "hold {1}: free runs on the held-out records have {0} with {2} and half a sample of delay"

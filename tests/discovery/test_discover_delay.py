@@ -10,6 +10,7 @@ from scipy.integrate import solve_ivp
 
 import eoi_jax as eoi
 from eoi_jax import effects
+from eoi_jax._status import Status
 from eoi_jax.data.holds import with_hold
 from eoi_jax.discovery.cosine_modes import modal_record, model_rows
 from eoi_jax.discovery.hold_choice import _stand_ins, with_held_inputs
@@ -130,6 +131,12 @@ def test_half_a_sample_of_delay_is_a_hold(column):
         chosen = with_held_inputs(answer, lambda *_: found, (records,), (held_out,))
         assert (chosen.added == found.added) is explained
         assert ("half a sample of delay" in chosen.notes[0]) is explained
+        # Nothing is missing with held inputs: a delay alone is explained as well.
+        answer = replace(found, added=(late,), held_out=linear)
+        for code, counts in (("nothing_missing", True), ("unexplained", False)):
+            rival = replace(found, added=(), status=Status(code, ""))
+            chosen = with_held_inputs(answer, lambda *_, r=rival: r, (records,), (held_out,))
+            assert (chosen.added == ()) is (explained and counts)
 
 
 @pytest.mark.parametrize(("lead", "late"), [(-0.25, 0.3), (0.4, -0.35)])
