@@ -183,11 +183,11 @@ def search_free_runs(
             best = lean
             continue
         chosen = search.judge.plainest_of_all(trials, search.answers(accepted) or accepted)
-        plain = search.narrowed(chosen, tried)
+        plain = search.narrowed(chosen, tried, ended=True)
         trials += [plain] if plain is not chosen else []
         rounds.append(Contest(best, plain, tuple(trials)))
         best = plain
-    search, best = _made_best(searches, search, search.leanest(best))
+    search, best = _made_best(searches, search, search.narrowed(search.leanest(best), tried))
     while not (fits := search.settled(best)):
         best = rounds.pop().origin
     if rival is not None and search.judge.prefers(search.judge.runs(rival), fits[0].runs):

@@ -138,7 +138,9 @@ class Search:
         trial = self.with_only(placed, model)
         return None if trial is None or self._of_unknown_size(trial) else trial
 
-    def narrowed(self, model: Judged, effects: Sequence[AbstractEffect]) -> Judged:
+    def narrowed(
+        self, model: Judged, effects: Sequence[AbstractEffect], ended: bool = False
+    ) -> Judged:
         """A model with laws in place of wider ones that contain them, or end in them.
 
         Where it is as good: the score test of a base that never stops says little of what makes it
@@ -147,16 +149,18 @@ class Search:
         Args:
             model: with effects.
             effects: that may take their places.
+            ended: whether only laws go of which a parameter is on a bound.
         """
         for item in self.further(model):
-            for plain in plainer(self.base.refinement.plant, item, effects):
+            laws = plainer(self.base.refinement.plant, item, effects)
+            for plain in laws if not ended or _is_on_bound(item, model) else ():
                 rest = [effect for effect in model.placed if effect is not item]
                 if plain.kind_site in {effect.kind_site for effect in rest}:
                     continue
                 fit = self.with_only([*rest, plain], model)
                 if fit is None or self._of_unknown_size(fit) or self.judge.needs(model, fit):
                     continue
-                return self.narrowed(fit, effects)
+                return self.narrowed(fit, effects, ended)
         return model
 
     def _tells_parameters(self, model: Judged) -> bool:
@@ -359,6 +363,15 @@ def portion(records: tuple[Record, ...], plant: Plant) -> tuple[Record, ...]:
 def count_of(records: tuple[Record, ...]) -> int:
     """Number of samples."""
     return sum(len(record) for record in records)
+
+
+def _is_on_bound(placed: Placed, model: Judged) -> bool:
+    """Whether a parameter of an effect is on a bound."""
+    values = model.refinement.parameters
+    return any(
+        values[name] in (parameter.lower, parameter.upper)
+        for name, parameter in zip(placed.names, placed.effect.parameters, strict=True)
+    )
 
 
 def _is_sized(name: str, fit: Refinement) -> bool:

@@ -167,8 +167,7 @@ def from_contests(
     remainder, standings = _power(best.error) - _power(noise_level(best.runs)), {}
     for placed in effects:
         place = placed.kind_site
-        added = (contest for contest in contests
-                 if place in _places(contest.chosen) - _places(contest.origin))  # fmt: skip
+        added = (contest for contest in contests if _adds(contest, placed))
         contest = next(added, None)
         if contest is None:
             continue
@@ -183,6 +182,16 @@ def from_contests(
         removed = _power(contest.origin.error) - _power(chosen.error)
         standings[placed] = standing(plant, _one_of_each_place(against)).beside(removed, remainder)
     return standings
+
+
+def _adds(contest: Contest, placed: Placed) -> bool:
+    """Whether a round added an effect, or a wider law that gave way to it in the end."""
+    present = _places(contest.origin)
+    return any(
+        law.kind_site not in present
+        and (law.kind_site == placed.kind_site or reads_as(law, placed))
+        for law in contest.chosen.placed
+    )
 
 
 def _twins(plant: Plant, placed: Placed, present: Sequence[Placed]) -> list[Placed]:

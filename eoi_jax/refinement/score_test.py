@@ -294,7 +294,7 @@ class LinearisedRuns:
             z = None
             if effect.states:
                 period = float(np.mean(t[:, 0, 2] - t[:, 0, 0]))
-                z = jnp.asarray(effect.states_along(level, period, shape))
+                z = jnp.asarray(effect.states_along(level, rate, period, shape))
             at = At(*signals, z=z, state=state, inputs=inputs)
             terms = (effect.term(at, list(gain), list(shape)) for gain in units)
             forces += [np.broadcast_to(term, t.shape)[..., None] * pushes for term in terms]

@@ -144,7 +144,7 @@ def test_the_state_of_a_second_node_follows_the_difference_along_a_run():
     y = np.cumsum(np.random.default_rng(0).standard_normal((1, 50)), axis=1)
     stages = np.stack([y[:, :-1], 0.5 * (y[:, :-1] + y[:, 1:]), y[:, 1:]], axis=-1)
     rate, h = 0.3, 0.5
-    along = effects.SecondNode().states_along(stages, h, np.array([rate]))
+    along = effects.SecondNode().states_along(stages, stages, h, np.array([rate]))
     decay = np.exp(-rate * h)
     expected = lfilter([-(1.0 - decay) / (rate * h)], [1.0, -decay], np.diff(y[0]))
     np.testing.assert_allclose(along[0, 0, :, 2], expected, rtol=1e-12)
@@ -520,7 +520,7 @@ def test_the_search_goes_on_from_what_is_left_without_stand_ins(monkeypatch):
     monkeypatch.setattr(free_run_search, "candidates", tried_from)
     monkeypatch.setattr(Search, "fitted", lambda _, __, ___, best: found_from[id(best)])
     monkeypatch.setattr(Search, "further_forms", lambda *_: [])
-    monkeypatch.setattr(Search, "narrowed", lambda _, model, __: model)
+    monkeypatch.setattr(Search, "narrowed", lambda _, model, *__, **___: model)
     monkeypatch.setattr(Search, "leanest", lambda _, best: stop if best is wide else best)
     monkeypatch.setattr(Search, "settled", lambda _, best: [best])
     monkeypatch.setattr(
@@ -560,7 +560,7 @@ def test_an_effect_with_which_refinement_tells_no_parameter_any_more_goes(monkey
     )
     monkeypatch.setattr(Search, "fitted", lambda _, __, ___, best: further[id(best)])
     monkeypatch.setattr(Search, "further_forms", lambda *_: [])
-    monkeypatch.setattr(Search, "narrowed", lambda _, model, __: model)
+    monkeypatch.setattr(Search, "narrowed", lambda _, model, *__, **___: model)
     monkeypatch.setattr(Search, "leanest", lambda _, best: best)
     monkeypatch.setattr(
         Judge, "prefers", lambda _, trial, best: mean_error(trial) < mean_error(best)

@@ -150,6 +150,20 @@ def test_a_better_law_that_contains_an_effect_is_no_rival_of_it():
         assert [law.effect for law in found.rivals] == told
 
 
+def test_a_law_in_place_of_a_wider_one_has_the_standing_of_the_round_that_added_it():
+    bare, wide = (
+        model((), runs_with(np.full(10, 1.0))),
+        model((STRIBECK,), runs_with(np.full(10, 0.1))),
+    )
+    cubic = model((CUBIC,), runs_with(np.full(10, 0.1)))
+    narrowed = model((FRICTION,), runs_with(np.full(10, 0.1)))
+    contest = Contest(bare, wide, (wide, cubic))
+    found = from_contests(MASS, narrowed, narrowed.placed, [contest])[FRICTION]
+    assert [rival.effect for rival in found.rivals] == ["cubic_stiffness"]
+    offset = model((OFFSET,), runs_with(np.full(10, 0.1)))
+    assert from_contests(MASS, offset, offset.placed, [contest]) == {}
+
+
 def test_sets_weigh_as_the_criterion_of_schwarz_has_it():
     sets = [
         (frozenset({FRICTION}), 0.0),

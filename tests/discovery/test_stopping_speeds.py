@@ -1,5 +1,7 @@
 """A speed that never reverses, but stops: dry friction holds it."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -7,8 +9,10 @@ import eoi_jax as eoi
 from eoi_jax import effects
 from eoi_jax.discovery.free_run_search import search_free_runs
 from eoi_jax.discovery.free_run_trials import Search
-from eoi_jax.discovery.judge import Judge
-from eoi_jax.models.augmented import place
+from eoi_jax.discovery.judge import Judge, Judged
+from eoi_jax.discovery.probability import from_contests
+from eoi_jax.models.augmented import augmented, place
+from eoi_jax.refinement.refine import refine_once
 from eoi_jax.refinement.score_test import LinearisedRuns
 
 PERIOD, COUNT = 0.1, 600
@@ -55,8 +59,7 @@ def test_a_law_that_imitates_dry_friction_of_a_speed_that_stops_gives_way_to_it(
     parameters = answer.final.refinement.parameters
     assert parameters["coulomb_friction"] == pytest.approx(LEVEL, rel=0.01)
     assert parameters["d"] == pytest.approx(LOSS, rel=0.01)
-    (contest,) = answer.rounds
-    assert contest.chosen in contest.trials
+    assert friction in from_contests(belt("m/s"), answer.best, answer.best.placed, answer.rounds)
 
 
 def test_a_wider_law_stays_where_the_simpler_one_is_worse():
@@ -69,6 +72,24 @@ def test_a_wider_law_stays_where_the_simpler_one_is_worse():
     model = search.with_only([place(plant, effects.InputQuadratic(), 0)], search.base)
     assert model is not None
     assert search.narrowed(model, effects.standard()) is model
+
+
+def test_a_law_goes_in_a_round_only_where_it_has_ended_on_a_bound():
+    fitted, judging = measured(1), measured(2)
+    plant = belt("m/s")
+    judge = Judge.of((judging,), plant)
+    assert judge is not None
+    search = Search.begun([plant], (fitted,), judge)
+    assert search is not None
+    friction = place(plant, effects.StribeckFriction(), 0)
+    start = dict(zip(friction.names, (LEVEL, 0.0, 0.3), strict=True))
+    fit = refine_once(augmented(plant, [friction], start), (fitted,), None)
+    model = Judged(fit, (friction,), judge.runs(fit.plant))
+    for rise, goes in ((0.0, True), (0.01, False)):
+        parameters = fit.parameters | {"stribeck_friction_rise": rise}
+        wide = replace(model, refinement=replace(fit, parameters=parameters))
+        plain = search.narrowed(wide, [effects.CoulombFriction()], ended=True)
+        assert (plain is not wide) is goes
 
 
 @pytest.mark.parametrize(

@@ -246,16 +246,21 @@ class AbstractTerm(AbstractEffect):
         """The contribution to y^(r) [its unit], linear in `gain`."""
 
     def states_along(
-        self, y: Float[np.ndarray, "runs S 3"], period: float, shape: np.ndarray
+        self,
+        y: Float[np.ndarray, "runs S 3"],
+        v: Float[np.ndarray, "runs S 3"],
+        period: float,
+        shape: np.ndarray,
     ) -> Float[np.ndarray, "states runs S 3"] | None:
         """Internal states along runs, for a score test of free runs; None where it has no formula.
 
         Args:
             y: the output at the start, the middle and the end of each sample.
+            v: the velocity, of an output of relative degree one that itself.
             period: of the samples [s].
             shape: the shape parameters.
         """
-        del y, period, shape
+        del y, v, period, shape
         return None
 
 

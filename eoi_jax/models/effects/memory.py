@@ -77,8 +77,13 @@ class SecondNode(AbstractTerm):
         return gain[0] * at.z[0]
 
     def states_along(
-        self, y: Float[np.ndarray, "runs S 3"], period: float, shape: np.ndarray
+        self,
+        y: Float[np.ndarray, "runs S 3"],
+        v: Float[np.ndarray, "runs S 3"],
+        period: float,
+        shape: np.ndarray,
     ) -> Float[np.ndarray, "1 runs S 3"]:
+        del v
         # Exact for y that is straight between its samples; from zero on.
         decay = np.exp(-shape[0] * period)
         mean = (1.0 - decay) / (shape[0] * period)
@@ -120,10 +125,11 @@ class Relaxation(AbstractTerm):
 class SecondMass(AbstractTerm):
     r"""A mass that is not measured, behind a spring with damping: r (ω² w + c (p - v)).
 
-    The load behind a flexible joint, the first mode of a beam. w is the stretch of the spring and p
-    the speed of the mass, dw/dt = p - v, dp/dt = -ω² w - c (p - v), and r its inertia over that of
-    the measured one. ω is its frequency where that is held; left free, both swing with ω √(1 + r).
-    At rest at the start of a record.
+    The load behind a flexible joint, the first mode of a beam; of an output that is a position, or
+    a speed of relative degree one. w is the stretch of the spring and p the speed of the mass,
+    dw/dt = p - v, dp/dt = -ω² w - c (p - v), and r its inertia over that of the measured one. ω is
+    its frequency where that is held; left free, both swing with ω √(1 + r). At rest at the start of
+    a record.
 
     Or the damping is that of a bearing of the mass, which takes its force from the ground: the
     force is r ω² w, and dp/dt = -ω² w - c p.
@@ -150,7 +156,8 @@ class SecondMass(AbstractTerm):
 
     def fits(self, plant: Plant, output: int) -> bool:
         # In free motion its modes are fewer than its parameters and those of the plant.
-        return mechanical(plant, output) and bool(plant.inputs)
+        moves = mechanical(plant, output) or plant.kinds[plant.outputs[output]] == "speed"
+        return moves and bool(plant.inputs)
 
     def grid(self, seen: Seen) -> Grid:
         # A mode with little damping is only met near its frequency, where the residual has a peak.
@@ -171,16 +178,22 @@ class SecondMass(AbstractTerm):
         return gain[0] * (force if self.in_bearing else force + shape[1] * (at.z[1] - at.v))
 
     def states_along(
-        self, y: Float[np.ndarray, "runs S 3"], period: float, shape: np.ndarray
+        self,
+        y: Float[np.ndarray, "runs S 3"],
+        v: Float[np.ndarray, "runs S 3"],
+        period: float,
+        shape: np.ndarray,
     ) -> Float[np.ndarray, "2 runs S 3"]:
-        # Exact for y that is straight in each half sample: (w, p) decays freely in it, to p = v and
-        # the stretch that pulls it through its bearing. It moves with the measured one at first.
+        del y
+        # Exact for a velocity that keeps its mean in each half sample: (w, p) decays freely in it,
+        # to p = v and the stretch that pulls it through its bearing. It moves with the measured one
+        # at first.
         from scipy.linalg import expm  # only discovery needs it
 
-        nodes = np.concatenate([y[..., :2].reshape(len(y), -1), y[:, -1:, 2]], axis=1)
-        speeds = np.diff(nodes, axis=1).T / (0.5 * period)
+        nodes = np.concatenate([v[..., :2].reshape(len(v), -1), v[:, -1:, 2]], axis=1)
+        speeds = 0.5 * (nodes[:, 1:] + nodes[:, :-1]).T
         decay = expm(0.5 * period * np.array([[0.0, 1.0], [-(shape[0] ** 2), -shape[1]]]))
-        start = np.stack([np.zeros(len(y)), speeds[0]])
+        start = np.stack([np.zeros(len(v)), nodes[:, 0]])
         goal = np.array([-shape[1] / shape[0] ** 2 if self.in_bearing else 0.0, 1.0])
         course = states(decay, goal - decay @ goal, speeds, start)
         course = np.concatenate([start[None], course])
