@@ -24,6 +24,7 @@ from eoi_jax.data.resampling import (
     fill,
     held_means,
     hold_inputs,
+    holes,
     own_period,
     own_segments,
     runs,
@@ -36,6 +37,8 @@ SLOW = 1.5  # samples between two of an output, on average, from which on it has
 LONGEST_HELD = 2  # missing samples of a held input that is the same before and after them
 
 Names: TypeAlias = Sequence[str] | None
+_UNKNOWN = "Inputs are unknown at {} in {}: free runs start again after each."
+
 # Inputs, outputs, where all inputs are known, and where each output was measured.
 OnGrid: TypeAlias = tuple[
     Float[np.ndarray, "points nu"],
@@ -337,8 +340,8 @@ def known_inputs(
     missing = runs(~complete)
     inner = [(start, stop) for start, stop in missing if start > 0 and stop < len(inputs_known)]
     if inner:
-        listed = f"{timed((~complete).sum(), sample_period)} in {counted(len(missing), 'gap')}"
-        notes.append(f"Inputs are unknown at {listed}: free runs start again after each.")
+        listed = timed((~complete).sum(), sample_period)
+        notes.append(_UNKNOWN.format(listed, counted(len(missing), "gap")))
     return complete
 
 
@@ -382,16 +385,22 @@ def _scattered(
     notes: list[str],
     hold: Hold,
 ) -> OnGrid:
-    """Outputs where they were measured, inputs between their samples by their hold."""
+    """Outputs where they were measured, inputs between their samples by their hold.
+
+    Not over a hole that is far longer than the spacings around it, unless they are the same behind.
+    """
     position, query = index.astype(float), np.arange(grid.time.size, dtype=float)
-    segments, u_finite = runs(good[0]), fill(position, u, position)
+    spacing, u_finite = grid.sample_period * np.diff(index), fill(position, u, position)
+    gaps = holes(spacing) & np.any(np.diff(u_finite, axis=0) != 0.0, axis=1)
+    segments = runs(good[0], ~gaps)
     measured = np.zeros((query.size, y.shape[1]), dtype=bool)
     measured[index] = good[1]
-    spacing = grid.sample_period * np.diff(index)
     notes.append(
         f"Stamps are {spacing.min():.4g} to {spacing.max():.4g} s apart, without a usual spacing: "
         f"{index.size} samples on a grid of {grid.sample_period:g} s, which has every one of them."
     )
+    if np.any(gaps):
+        notes.append(_UNKNOWN.format(f"{spacing[gaps].sum():g} s", counted(int(gaps.sum()), "gap")))
 
     def on_grid(word: str, columns: Columns) -> np.ndarray:
         return hold_inputs(position, u_finite[:, columns], segments, query, word)

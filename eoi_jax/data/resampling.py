@@ -33,6 +33,8 @@ class GridSettings:
     many: float = 0.1  # of the spacings; so many that are long are how samples come, no gaps
     scatter: float = 4.0  # long over short spacings in whole numbers, which are no milliseconds
     most_points: int = 20_000  # of a grid that has every stamp though they have no usual spacing
+    neighbors: int = 5  # spacings on each side, beside which one of such a grid may be a gap
+    hole: float = 4.0  # spacing over the longest of these, from which on it is one
     moved: float = 0.02  # of the smallest spacing, by which a stamp of such a grid may be rounded
 
 
@@ -134,6 +136,14 @@ def runs(good: Mask, joined: Bool[np.ndarray, " steps"] | None = None) -> list[t
     starts = np.flatnonzero(good & ~np.concatenate([[False], links]))
     stops = np.flatnonzero(good & ~np.concatenate([links, [False]])) + 1
     return list(zip(starts.tolist(), stops.tolist(), strict=True))
+
+
+def holes(spacing: Float[np.ndarray, " steps"]) -> Bool[np.ndarray, " steps"]:
+    """Which spacings of stamps without a usual one are far longer than all of those around them."""
+    reach = _SETTINGS.neighbors
+    around = np.lib.stride_tricks.sliding_window_view(np.pad(spacing, reach), 2 * reach + 1)
+    longest = np.max(np.delete(around, reach, axis=1), axis=1)
+    return spacing > _SETTINGS.hole * longest
 
 
 def own_period(position: Float[np.ndarray, " samples"]) -> float:

@@ -80,6 +80,28 @@ def test_scattered_samples_keep_their_instants_and_inputs_their_hold():
     np.testing.assert_array_equal(held.inputs[:, 0], t[last] ** 2)
 
 
+def with_a_hole():
+    """Stamps now and then, once nothing for nine hours; the input changes in between."""
+    rows = np.random.default_rng(1).random(400) > 0.4
+    rows[200:236] = False
+    rows[[0, 199, 236, 399]] = True
+    t = 900.0 * np.flatnonzero(rows)
+    return t, np.where(t < 900.0 * 220, 2.0, 4.0), np.sin(t / 20_000.0)
+
+
+@pytest.mark.parametrize("hold", ["zero", "linear"])
+def test_an_input_is_unknown_in_a_hole_between_scattered_samples(hold):
+    t, u, y = with_a_hole()
+    record = Record(t, u, y, hold=hold)
+    unknown = (record.time > 199 * 900.0 + 1.0) & (record.time < 236 * 900.0 - 1.0)
+    np.testing.assert_array_equal(record.input_valid, ~unknown)
+    assert (
+        "Inputs are unknown at 33300 s in 1 gap: free runs start again after each." in record.notes
+    )
+    # Behind a hole with the same values nothing tells that an input has changed.
+    assert Record(t, np.full_like(u, 2.0), y, hold=hold).input_valid.all()
+
+
 @pytest.mark.parametrize("form", [list, pd.DatetimeIndex, pd.Series])
 def test_dates_with_a_time_zone_count_through_the_end_of_summer_time(form):
     stamps = pd.date_range("2024-10-26", periods=200, freq="15min", tz="Europe/Berlin")
