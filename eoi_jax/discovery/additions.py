@@ -51,8 +51,9 @@ def size_is_known(
 
 
 def has_size(placed: Placed, fit: Identification | Refinement) -> bool:
-    """`size_is_known` of an effect in a fit."""
-    return size_is_known(placed.names, fit.parameters, fit.standard_errors)
+    """`size_is_known` of an effect in a fit, by its parameters that are estimated."""
+    names = [name for name in placed.names if name not in fit.plant.fixed]
+    return size_is_known(names, fit.parameters, fit.standard_errors)
 
 
 def uncertain_effects(added: Sequence[Added]) -> list[str]:

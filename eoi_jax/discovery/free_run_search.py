@@ -50,6 +50,8 @@ from eoi_jax.simulation.sensor_noise import is_exact
 _RULES = RULES.free_runs
 
 RecordPair = tuple[tuple[Record, ...], tuple[Record, ...]]  # to fit, and to judge
+Trial = tuple[Plant, tuple[Placed, ...], Judged]  # a model, its further effects, and its origin
+Course = tuple[Judged, Sequence[Contest]]  # what rounds came to, and these
 
 
 @dataclass(frozen=True)
@@ -153,46 +155,87 @@ def search_free_runs(
     if not searches:
         return None
     search = _most_likely(searches)
+    models = _first_models(search, starts, tried, level, further, present)
     best, rounds = search.base, []
-    for number in range(1 if present else _RULES.most):
-        if all(is_exact(run) for run in best.runs if run):
-            break
-        # What short runs do not show or fit a whole one may, and the other way about.
-        models = [
-            (plant, placed, origin)
-            for origin in (search.bases if number == 0 and not present else (best,))
-            for plant, placed in candidates(origin, tried, level, explained=bool(present))
-        ]
-        if number == 0 and not present:
-            models += [(*candidate, best) for candidate in further if not _in_time(candidate[1])]
-            models += [
-                (plant.with_parameters(starts[-1].parameters), placed, best)
-                for plant, placed, origin in models
-                if origin is best
-            ]
-        if number == 0:
-            models += [(*model, best) for model in replacements(best, tried)]
-        trials = [trial for model in models if (trial := search.fitted(*model)) is not None]
-        trials += search.further_forms(trials)
-        accepted = [trial for trial in trials if search.accepts(trial, best, rounds)]
-        if not accepted:
-            # What stood in for an effect that is found beside it may have hidden another one.
-            lean = search.leanest(best)
-            if lean is best:
-                break
-            best = lean
-            continue
-        chosen = search.judge.plainest_of_all(trials, search.answers(accepted) or accepted)
-        plain = search.narrowed(chosen, tried, ended=True)
-        trials += [plain] if plain is not chosen else []
-        rounds.append(Contest(best, plain, tuple(trials)))
-        best = plain
+    if (contest := _round(search, models, (best, ()), tried)) is not None:
+        best, rounds = contest.chosen, [contest]
+    if rounds and not present:
+        best, rounds = _continued(search, (best, rounds), tried, level)
     search, best = _made_best(searches, search, search.narrowed(search.leanest(best), tried))
     while not (fits := search.settled(best)):
         best = rounds.pop().origin
     if rival is not None and search.judge.prefers(search.judge.runs(rival), fits[0].runs):
         return None
     return FreeRunAnswer.of(search, fits, starts[0], rounds)
+
+
+def _first_models(
+    search: Search,
+    starts: Sequence[Plant],
+    effects: Sequence[AbstractEffect],
+    level: float,
+    further: Sequence[Model],
+    present: tuple[Placed, ...],
+) -> list[Trial]:
+    """What the first round tries: from each base, and from nominal values."""
+    best, explained = search.base, bool(present)
+    if _is_exact(best):
+        return []
+    # What short runs do not show or fit a whole one may, and the other way about.
+    models = [
+        (plant, placed, origin)
+        for origin in ((best,) if explained else search.bases)
+        for plant, placed in candidates(origin, effects, level, explained=explained)
+    ]
+    if not explained:
+        models += [(*candidate, best) for candidate in further if not _in_time(candidate[1])]
+        models += [
+            (plant.with_parameters(starts[-1].parameters), placed, best)
+            for plant, placed, origin in models
+            if origin is best
+        ]
+    return models + [(*model, best) for model in replacements(best, effects)]
+
+
+def _continued(
+    search: Search, course: Course, effects: Sequence[AbstractEffect], level: float
+) -> tuple[Judged, list[Contest]]:
+    """Further rounds, until none adds an effect."""
+    best, rounds = course
+    for _ in range(len(rounds), _RULES.most):
+        if _is_exact(best):
+            break
+        models = [(*model, best) for model in candidates(best, effects, level)]
+        contest = _round(search, models, (best, rounds), effects)
+        if contest is None:
+            # What stood in for an effect that is found beside it may have hidden another one.
+            lean = search.leanest(best)
+            if lean is best:
+                break
+            best = lean
+        else:
+            best, rounds = contest.chosen, [*rounds, contest]
+    return best, list(rounds)
+
+
+def _round(
+    search: Search, models: Sequence[Trial], course: Course, effects: Sequence[AbstractEffect]
+) -> Contest | None:
+    """A round of a search; None where no effect stays."""
+    best, rounds = course
+    trials = [trial for model in models if (trial := search.fitted(*model)) is not None]
+    trials += search.further_forms(trials)
+    accepted = [trial for trial in trials if search.accepts(trial, best, rounds)]
+    if not accepted:
+        return None
+    chosen = search.judge.plainest_of_all(trials, search.answers(accepted) or accepted)
+    plain = search.narrowed(chosen, effects, ended=True)
+    return Contest(best, plain, (*trials, *([plain] if plain is not chosen else [])))
+
+
+def _is_exact(model: Judged) -> bool:
+    """Whether its errors are within the accuracy of a simulation."""
+    return all(is_exact(run) for run in model.runs if run)
 
 
 def _most_likely(searches: Sequence[Search]) -> Search:

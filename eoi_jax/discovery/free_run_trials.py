@@ -16,7 +16,7 @@ from eoi_jax.discovery.judge import Judge, Judged, mean_error
 from eoi_jax.discovery.parsimony import limit_of, plainer
 from eoi_jax.discovery.probability import Contest
 from eoi_jax.discovery.refit import not_simulated
-from eoi_jax.discovery.replacements import replaced_terms, turned_terms
+from eoi_jax.discovery.replacements import fixed_shapes, replaced_terms, turned_terms
 from eoi_jax.discovery.rules import RULES
 from eoi_jax.models.augmented import Placed, augmented, place
 from eoi_jax.models.effects.effect import AbstractEffect
@@ -108,13 +108,17 @@ class Search:
         """A model refined over runs as those of the best one so far, and judged.
 
         Without effects whose size is not told: earlier ones stood in for the new one, and of two
-        new ones one may be enough. None where it has no free run or no fit, or where the records do
-        not tell the size of any new one, unless that has become the law in which it ends.
+        new ones one may be enough. A shape without a trace beside the other parameters, like the
+        surroundings of a radiation beside those of the model, keeps its start. None where it has no
+        free run or no fit, or where the records do not tell the size of any new one, unless that
+        has become the law in which it ends.
         """
         if not_simulated(plant):
             return None
-        window = best.refinement.window
-        trial = _fitted(plant, (*best.placed, *placed), self.searched, window, self.judge)
+        effects, runs = (*best.placed, *placed), (self.searched, best.refinement.window, self.judge)
+        trial = _fitted(plant, effects, *runs)
+        if trial is not None and (lost := _lost_shapes(trial, placed)):
+            trial = _fitted(plant.declared_anew(fixed=lost), effects, *runs)
         while trial is not None and (unknown := self._of_unknown_size(trial)):
             if all(item in unknown for item in trial.placed if item in placed):
                 return self._in_the_limit(trial, unknown)
@@ -247,6 +251,7 @@ class Search:
         values = dict.fromkeys((name for item in further for name in item.names), 0.0) | values
         plant, effects = augmented(declared, further, values), (*base.placed, *further)
         fixed = () if opened else replaced_terms(declared, model.refinement.plant)
+        fixed = (*fixed, *fixed_shapes(model.refinement.plant, further))
         if further and fixed:
             plant = plant.declared_anew(fixed=fixed)
         return _fitted(plant, effects, self.searched, model.refinement.window, self.judge)
@@ -363,6 +368,14 @@ def portion(records: tuple[Record, ...], plant: Plant) -> tuple[Record, ...]:
 def count_of(records: tuple[Record, ...]) -> int:
     """Number of samples."""
     return sum(len(record) for record in records)
+
+
+def _lost_shapes(model: Judged, placed: Sequence[Placed]) -> tuple[str, ...]:
+    """Shapes of effects that leave no trace beside the other parameters, which do."""
+    lost = {name for name, error in model.refinement.standard_errors.items() if np.isposinf(error)}
+    effects = [item for item in placed if not lost.issuperset(item.names)]
+    shapes = [name for item in effects for name in item.names[len(item.effect.gains) :]]
+    return tuple(name for name in shapes if name in lost)
 
 
 def _is_on_bound(placed: Placed, model: Judged) -> bool:

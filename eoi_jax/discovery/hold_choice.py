@@ -97,8 +97,9 @@ def with_best_hold(
     The search runs with the hold that the declared model fits best. It runs with another one that
     the declared model does not refute if the final model fits as well with it, or with any other
     one if it has an effect that may stand for it. It runs on shifted inputs if the final model fits
-    clearly better with them, or has an effect that may stand for the shift. The smallest index
-    decides; of nearly equal ones the answer that explains, with fewest effects.
+    clearly better with them, or has an effect that may stand for the shift; they stay unless free
+    runs miss by more. The smallest index decides; of nearly equal ones the answer that explains,
+    with fewest effects.
 
     Args:
         search: the discovery on records to fit and records that judge, on the filter of `indices`.
@@ -139,7 +140,8 @@ def with_best_hold(
             notes += indices.choice.evidence("the index of the declared model", refuted)
     for skew in _possible_skews(best, records, indices):
         shifted = searched(skew.hold, skew)
-        if _best([best, shifted]) is shifted and _preferred(shifted, best):
+        fits_better = _best([best, shifted]) is shifted and _preferred(shifted, best)
+        if fits_better and not _predicts_worse(shifted, best):
             hold = hold_text(skew.hold, records[0].input_names)
             notes = notes if skew.hold == best.hold else (f"hold {hold}",)
             best, notes = shifted, (*notes, skew.evidence(records[0]))
@@ -258,6 +260,21 @@ def _preferred(shifted: _Trial, best: _Trial) -> bool:
     new, old = _powers([shifted.fit, best.fit])
     fewer = len(shifted.answer.added) < len(best.answer.added)
     return fewer or new < (1.0 - _RULES.same) * old
+
+
+def _predicts_worse(shifted: _Trial, best: _Trial) -> bool:
+    """Whether errors of free runs are larger with shifted inputs.
+
+    Passes take the mean of an input over a step; behind a dead zone or a limit the index may be
+    smaller with inputs at another time, where jumps of the input are spread.
+    """
+    old, new = best.answer, shifted.answer
+    if old.after is None or new.after is None:
+        return False
+    growth = mean_error((new.after, new.windows_after))
+    growth -= mean_error((old.after, old.windows_after))
+    fewer = len(new.added) < len(old.added)
+    return growth > (RULES.judge.min_fall if fewer else RULES.judge.same_error)
 
 
 def _possible_skews(best: _Trial, records: Records, indices: HoldIndices) -> list[Skew]:

@@ -34,7 +34,7 @@ from eoi_jax.discovery.judge import Judge, Judged, mean_error
 from eoi_jax.discovery.probability import Standing, from_contests
 from eoi_jax.discovery.refit import on_bounds
 from eoi_jax.discovery.remarks import FitNote, GridNote, HoldNote, Reason, is_on_fit
-from eoi_jax.discovery.replacements import replaced_terms
+from eoi_jax.discovery.replacements import fixed_shapes, replaced_terms
 from eoi_jax.discovery.result import Added, Discovery, PartialExplanation
 from eoi_jax.discovery.rivals import experiments
 from eoi_jax.discovery.rules import RULES
@@ -413,9 +413,13 @@ def _portion_note(answer: FreeRunAnswer) -> list[str]:
 
 
 def _replaced(discovery: Discovery, plant: Plant, placed: Sequence[Placed]) -> list[str]:
-    """A note on each declared parameter whose term an effect has replaced."""
+    """A note on each declared parameter whose term an effect has replaced, and on fixed shapes."""
     names = replaced_terms(discovery.declared.nominal, plant)
-    return [FitNote(_REPLACED.format(name, labels_of(placed))) for name in names]
+    values, shapes = plant.parameters, fixed_shapes(plant, placed)
+    return [
+        *(FitNote(_REPLACED.format(name, labels_of(placed))) for name in names),
+        *(FitNote(_FIXED.format(name, f"{values[name]:.4g}")) for name in shapes),
+    ]
 
 
 def _fit_of(
@@ -483,6 +487,10 @@ _PORTION = (
 )
 _REPLACED = (
     "{} is fixed at 0: with {} in place of its term the model predicts the held-out records better"
+)
+_FIXED = (
+    "{} is fixed at {}: another value, with other values of the declared parameters, leaves every "
+    "free run as it is"
 )
 _LONG_RUNS = (
     "in short runs the predictions with and without it hardly differ: long runs decide, whose "

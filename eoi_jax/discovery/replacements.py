@@ -91,7 +91,13 @@ def _losses_with_offsets(
 
 def replaced_terms(declared: Plant, plant: Plant) -> tuple[str, ...]:
     """Parameters of a declared model whose terms an effect has replaced in another one."""
-    return tuple(name for name in plant.fixed if name not in declared.fixed)
+    free = [name for name in declared.names if name not in declared.fixed]
+    return tuple(name for name in plant.fixed if name in free)
+
+
+def fixed_shapes(plant: Plant, placed: Sequence[Placed]) -> tuple[str, ...]:
+    """Parameters of effects that are fixed in a plant, for no run tells them."""
+    return tuple(name for item in placed for name in item.names if name in plant.fixed)
 
 
 def turned_terms(base: Judged, model: Judged) -> tuple[str, ...]:

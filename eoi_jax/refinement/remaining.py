@@ -29,6 +29,8 @@ from eoi_jax.refinement.score_test import Candidate, LinearisedRuns, Try, is_tes
 from eoi_jax.refinement.spans import spans_of
 from eoi_jax.simulation.validate import Validation, judged_runs
 
+_DIGITS = 7  # of a share; what follows is rounding of least squares
+
 
 @dataclass(frozen=True)
 class Trial:
@@ -220,11 +222,16 @@ def _told_from_offsets(tries: Sequence[Try], share: float = 0.01) -> list[Try]:
 
 
 def _best(tries: Sequence[Try], shares: Sequence[float | None]) -> list[Try]:
-    """Of the shapes of an effect at a channel the one with the largest share."""
+    """Of the shapes of an effect at a channel the one with the largest share.
+
+    The first of those that are the same but for rounding: beside a parameter that shifts the model
+    like the surroundings of a radiation, all of these are.
+    """
     best: dict[Any, tuple[float, Try]] = {}
     for attempt, share in zip(tries, shares, strict=True):
-        if share is not None and share > best.get(attempt.placed, (-np.inf, None))[0]:
-            best[attempt.placed] = share, attempt
+        rounded = -np.inf if share is None else round(share, _DIGITS)
+        if rounded > best.get(attempt.placed, (-np.inf, None))[0]:
+            best[attempt.placed] = rounded, attempt
     return [attempt for _, attempt in best.values()]
 
 
@@ -271,13 +278,13 @@ def _pairs(
     shares_alone: Sequence[float | None],
     max_pairs: int = 6,
 ) -> tuple[Candidate, ...]:
-    """The `max_pairs` pairs with the largest shares."""
+    """The `max_pairs` pairs with the largest shares; of shapes that do the same the first ones."""
     linear = [attempt for attempt, share in zip(tries, shares_alone, strict=True)
               if attempt.placed.effect.gains or share is not None]  # fmt: skip
     shares = runs.pair_shares(linear)
     count = max(len(linear) * (len(linear) - 1) // 2, 1)
     candidates: dict[Any, Candidate | None] = {}
-    for place in np.argsort(shares, axis=None)[::-1]:
+    for place in np.argsort(-np.round(shares, _DIGITS), axis=None, kind="stable"):
         i, j = np.unravel_index(place, shares.shape)
         key = linear[i].placed, linear[j].placed
         if shares[i, j] == 0 or len(candidates) == max_pairs:

@@ -139,6 +139,33 @@ def test_half_a_sample_of_delay_is_a_hold(column):
             assert (chosen.added == ()) is (explained and counts)
 
 
+def geared(seed, count=5000, period=0.004, steps=20):
+    """A drive with a dead zone of 0.8 and dry friction 2, in small steps; its hold unsaid."""
+    random, state, angle = np.random.default_rng(seed), np.zeros(2), np.empty(count)
+    volts = np.repeat(random.uniform(-6.0, 6.0, count // 100), 100)
+    for k, u in enumerate(volts):
+        angle[k], push = state[0], 20.0 * np.sign(u) * max(abs(u) - 0.8, 0.0)
+        for _ in range(steps):
+            force = push - 8.0 * state[1] - 2.0 * np.tanh(state[1] / 0.01)
+            middle = state[1] + 0.5 * period / steps * force
+            rate = push - 8.0 * middle - 2.0 * np.tanh(middle / 0.01)
+            state = state + period / steps * np.array([middle, rate])
+    angle += 0.002 * random.standard_normal(count)
+    return eoi.Record(period * np.arange(count), volts, angle, units={"y": "rad"})
+
+
+@pytest.mark.slow
+def test_inputs_are_not_shifted_where_free_runs_miss_by_more():
+    """Behind the dead zone the index is smaller with inputs at another time."""
+    plant = eoi.Plant(lambda t, x, u, p: p.k * u - p.d * x.y[1], {"k": 15.0, "d": 5.0}, 2)
+    found = eoi.discover(plant, geared(1), validation=geared(2))
+    assert found.held_out[0].hold == "zero"
+    assert not np.any(found.held_out[0].skew)
+    assert set(found.effects) == {"input_dead_zone", "coulomb_friction"}
+    assert found.plant.parameters["input_dead_zone"] == pytest.approx(0.8, rel=0.01)
+    assert found.plant.parameters["coulomb_friction"] == pytest.approx(2.0, rel=0.02)
+
+
 @pytest.mark.parametrize(("lead", "late"), [(-0.25, 0.3), (0.4, -0.35)])
 def test_what_follows_the_rate_of_an_input_stands_for_a_delay_by_its_lag_less_its_lead(lead, late):
     """Half a sample of lead that is negative, with hardly any lag, is a hold as well."""
