@@ -132,6 +132,11 @@ def _first_order(t: Any, x: Any, u: Any, p: Any) -> Any:
     return p.gain * u - p.loss * x.y[0]
 
 
+def _heated(t: Any, x: Any, u: Any, p: Any) -> Any:
+    del t
+    return p.gain * u - p.loss * (x.y[0] - p.ambient)
+
+
 def _turning(t: Any, x: Any, u: Any, p: Any) -> Any:
     del t
     return p.gain * u - p.damping * x.y[1]
@@ -320,10 +325,45 @@ def vehicles() -> list[Rig]:
             lambda x, u: (x[1], 40.0 * (0.5 * math.copysign(max(abs(u) - 0.12, 0.0), u)
                                         * (0.7 if u < 0.0 else 1.0) - x[1])),
             (0.0, 0.0), 0.02, 1500, levels(1.0, 25, -1.0)),
+    ]  # fmt: skip
+
+
+def machines() -> list[Rig]:
+    """With what stops, bends, glows and comes near its stroke."""
+    furnace = eoi.Plant(_heated, {"gain": 5.0, "loss": 0.005, "ambient": 20.0}, 1, ("power",),
+                        ("temperature",), units={"temperature": "°C"})  # fmt: skip
+
+    def in_furnace(x: Sequence[float], u: float) -> Sequence[float]:
+        glow = (0.01 * x[0] + 2.7315) ** 4 - 2.9815**4
+        return (8.0 * u - 0.002 * (x[0] - 25.0) - 3e-4 * glow,)
+
+    def in_drive(x: Sequence[float], u: float) -> Sequence[float]:
+        twist = 900.0 * x[2] + 0.8 * (x[0] - x[1])
+        return 10.0 * u - x[0] - twist, 0.6 * twist, x[0] - x[1]
+
+    return [
         Rig("conveyor that stops", "Coulomb friction 1.5", ("coulomb_friction",),
             eoi.Plant(_first_order, {"gain": 1.0, "loss": 1.0}, 1, units={"y": "m/s"}),
             lambda x, u: (0.9 * u - 1.1 * x[0] - 1.5 * math.tanh(x[0] / 0.01),),
             (0.0,), 0.1, 1200, levels(7.0, 35, 0.0)),
+        Rig("drive behind a converter", "dead zone 0.8, Coulomb friction 2",
+            ("input_dead_zone", "coulomb_friction"),
+            eoi.Plant(_turning, {"gain": 15.0, "damping": 5.0}, 2),
+            lambda x, u: (x[1], 20.0 * math.copysign(max(abs(u) - 0.8, 0.0), u) - 8.0 * x[1]
+                          - 2.0 * math.tanh(x[1] / 0.01)),
+            (0.0, 0.0), 0.004, 5000, levels(6.0, 100, -6.0)),
+        Rig("motor before an elastic shaft", "inertia 1.667 behind it, 23.24 rad/s",
+            ("second_mass",),
+            eoi.Plant(_first_order, {"gain": 5.0, "loss": 1.0}, 1, units={"y": "rad/s"}),
+            in_drive, (0.0, 0.0, 0.0), 0.002, 6000, levels(5.0, 60, -5.0)),
+        Rig("furnace", "radiation 3e-4 (T/100)⁴", ("radiation",), furnace,
+            in_furnace, (25.0,), 5.0, 1500, levels(1.0, 150)),
+        Rig("loudspeaker", "stiffness 4800 y³, 0.06 y² less force",
+            ("cubic_stiffness", "product|parameter_dependence"),
+            eoi.Plant(_spring, {"k": 5e4, "c": 100.0, "b": 300.0}, 2),
+            lambda x, u: (x[1], 400.0 * u * (1.0 - 0.06 * x[0] ** 2) - 120.0 * x[1]
+                          - 6e4 * x[0] * (1.0 + 0.08 * x[0] ** 2)),
+            (0.0, 0.0), 2e-4, 8000, multisine(100.0, 80.0)),
     ]  # fmt: skip
 
 
@@ -347,7 +387,7 @@ def main() -> None:
         "library has no name. Times are of first calls, with compilation."
     )
     rows = []
-    for rig in [*rigs(), *driven_rigs(), *vehicles()][:: 4 if options.quick else 1]:
+    for rig in [*rigs(), *driven_rigs(), *vehicles(), *machines()][:: 4 if options.quick else 1]:
         fitted, held = (record(rig, seed, rig.samples) for seed in SEEDS)
         started = time.perf_counter()
         found = eoi.discover(rig.model, fitted, held)

@@ -56,14 +56,15 @@ def candidates(
     models, allowed = list(first.values()), 1 if explained else _RULES.products
     products = [i for i, (_, placed) in enumerate(models) if _has_product(placed)]
     models = [model for i, model in enumerate(models) if i not in products[allowed:]]
-    further = _further_shapes(tested, items)[: _RULES.shapes]
+    shapes = [(item.placed, item.values) for item in _further_shapes(tested, items)]
+    further = [*shapes[: _RULES.shapes], *_further_starts(items)]
     # There may be many dependences, too: they have room of their own.
     laws = [model for model in models if not has_dependence(model[1])]
     dependences = [model for model in models if has_dependence(model[1])]
     return [
         *laws[: _RULES.tried + len(certain)],
         *dependences[: _RULES.dependences],
-        *((augmented(plant, item.placed, item.values), item.placed) for item in further),
+        *((augmented(plant, placed, values), placed) for placed, values in further),
     ]
 
 
@@ -99,6 +100,18 @@ def _further_shapes(tested: Remaining, items: Sequence[Candidate]) -> list[Candi
         if item.placed in shares
         and item.significance < tested.level
         and 1.0 - item.share <= _RULES.remainder * (1.0 - shares[item.placed])
+    ]
+
+
+def _further_starts(
+    items: Sequence[Candidate],
+) -> list[tuple[tuple[Placed, ...], dict[str, float]]]:
+    """Effects alone, with other values than those that the score test says."""
+    single = [(item, *item.placed) for item in items if len(item.placed) == 1]
+    return [
+        ((placed,), dict(zip(placed.names, values, strict=True)))
+        for item, placed in single
+        for values in placed.effect.further_starts([item.values[name] for name in placed.names])
     ]
 
 

@@ -50,7 +50,6 @@ from eoi_jax.simulation.sensor_noise import is_exact
 _RULES = RULES.free_runs
 
 RecordPair = tuple[tuple[Record, ...], tuple[Record, ...]]  # to fit, and to judge
-Trial = tuple[Plant, tuple[Placed, ...], Judged]  # a model, its further effects, and its origin
 Course = tuple[Judged, Sequence[Contest]]  # what rounds came to, and these
 
 
@@ -155,29 +154,35 @@ def search_free_runs(
     if not searches:
         return None
     search = _most_likely(searches)
-    models = _first_models(search, starts, tried, level, further, present)
+    trials = _first_trials(search, starts, tried, level, further, present)
     best, rounds = search.base, []
-    if (contest := _round(search, models, (best, ()), tried)) is not None:
+    if (contest := _round(search, trials, (best, ()), tried)) is not None:
         best, rounds = contest.chosen, [contest]
     if rounds and not present:
         best, rounds = _continued(search, (best, rounds), tried, level)
     search, best = _made_best(searches, search, search.narrowed(search.leanest(best), tried))
     while not (fits := search.settled(best)):
         best = rounds.pop().origin
-    if rival is not None and search.judge.prefers(search.judge.runs(rival), fits[0].runs):
+    # Each on records made as it was found with.
+    own = replace(search.judge, records=variants[0][1])
+    if rival is not None and own.prefers(own.runs(rival), fits[0].runs):
         return None
     return FreeRunAnswer.of(search, fits, starts[0], rounds)
 
 
-def _first_models(
+def _first_trials(
     search: Search,
     starts: Sequence[Plant],
     effects: Sequence[AbstractEffect],
     level: float,
     further: Sequence[Model],
     present: tuple[Placed, ...],
-) -> list[Trial]:
-    """What the first round tries: from each base, and from nominal values."""
+) -> list[Judged]:
+    """Models of the first round: from each base, and from nominal values.
+
+    Where the declared model came to the same end from all starts, only those are refined from
+    nominal values, too, that did not converge.
+    """
     best, explained = search.base, bool(present)
     if _is_exact(best):
         return []
@@ -189,12 +194,21 @@ def _first_models(
     ]
     if not explained:
         models += [(*candidate, best) for candidate in further if not _in_time(candidate[1])]
-        models += [
+    fits = [search.fitted(*model) for model in models]
+    if not explained:
+        again = [
             (plant.with_parameters(starts[-1].parameters), placed, best)
-            for plant, placed, origin in models
-            if origin is best
+            for (plant, placed, origin), fit in zip(models, fits, strict=True)
+            if origin is best and not (search.ends_alike and _is_settled(fit))
         ]
-    return models + [(*model, best) for model in replacements(best, effects)]
+        fits += [search.fitted(*model) for model in again]
+    fits += [search.fitted(*model, best) for model in replacements(best, effects)]
+    return [fit for fit in fits if fit is not None]
+
+
+def _is_settled(fit: Judged | None) -> bool:
+    """Whether another start would end alike: a fit that converged, or of which nothing is told."""
+    return fit is None or fit.refinement.status.code == "converged"
 
 
 def _continued(
@@ -205,8 +219,9 @@ def _continued(
     for _ in range(len(rounds), _RULES.most):
         if _is_exact(best):
             break
-        models = [(*model, best) for model in candidates(best, effects, level)]
-        contest = _round(search, models, (best, rounds), effects)
+        fits = [search.fitted(*model, best) for model in candidates(best, effects, level)]
+        trials = [fit for fit in fits if fit is not None]
+        contest = _round(search, trials, (best, rounds), effects)
         if contest is None:
             # What stood in for an effect that is found beside it may have hidden another one.
             lean = search.leanest(best)
@@ -219,12 +234,11 @@ def _continued(
 
 
 def _round(
-    search: Search, models: Sequence[Trial], course: Course, effects: Sequence[AbstractEffect]
+    search: Search, trials: Sequence[Judged], course: Course, effects: Sequence[AbstractEffect]
 ) -> Contest | None:
-    """A round of a search; None where no effect stays."""
+    """A round of a search that tries these models; None where no effect stays."""
     best, rounds = course
-    trials = [trial for model in models if (trial := search.fitted(*model)) is not None]
-    trials += search.further_forms(trials)
+    trials = [*trials, *search.further_forms(trials)]
     accepted = [trial for trial in trials if search.accepts(trial, best, rounds)]
     if not accepted:
         return None

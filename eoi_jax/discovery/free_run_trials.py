@@ -38,12 +38,14 @@ class Search:
         searched: those of them, or the part of a long one, in which effects are searched.
         judge: on the others.
         bases: the declared model, refined over whole records, over windows; the better one first.
+        ends_alike: whether it was refined from several starts, and from each to the same errors.
     """
 
     records: tuple[Record, ...]
     searched: tuple[Record, ...]
     judge: Judge
     bases: tuple[Judged, ...]
+    ends_alike: bool = False
 
     @property
     def base(self) -> Judged:
@@ -60,13 +62,15 @@ class Search:
     ) -> "Search | None":
         """With the best base of each length of runs; None without a fit."""
         bases: list[Judged] = []
-        searched = portion(records, starts[0])
+        searched, alike = portion(records, starts[0]), len(starts) > 1
         for window in (judge.longest, judge.window):
-            fits = [_fitted(start, present, searched, window, judge) for start in starts]
-            fits = [fit for fit in fits if fit is not None]
+            ends = [_fitted(start, present, searched, window, judge) for start in starts]
+            fits = [fit for fit in ends if fit is not None]
             bases += [min(fits, key=lambda fit: fit.error)] if fits else []
+            alike &= len(fits) == len(ends)
+            alike &= all(judge.is_same(fit.error, bases[-1].error) for fit in fits)
         ordered = sorted(bases, key=lambda fit: fit.error)
-        return cls(records, searched, judge, tuple(ordered)) if bases else None
+        return cls(records, searched, judge, tuple(ordered), alike) if bases else None
 
     @property
     def is_lost(self) -> bool:

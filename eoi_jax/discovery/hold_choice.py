@@ -28,6 +28,7 @@ Records = tuple[Record, ...]
 
 
 _RULES = RULES.holds
+_EXPLAINS = ("complete", "partial", "nothing_missing")  # codes of an answer
 
 
 @dataclass(frozen=True)
@@ -97,9 +98,8 @@ def with_best_hold(
     The search runs with the hold that the declared model fits best. It runs with another one that
     the declared model does not refute if the final model fits as well with it, or with any other
     one if it has an effect that may stand for it. It runs on shifted inputs if the final model fits
-    clearly better with them, or has an effect that may stand for the shift; they stay unless free
-    runs miss by more. The smallest index decides; of nearly equal ones the answer that explains,
-    with fewest effects.
+    clearly better with them, or has an effect that may stand for the shift (`_takes_place`). The
+    smallest index decides; of nearly equal ones the answer that explains, with fewest effects.
 
     Args:
         search: the discovery on records to fit and records that judge, on the filter of `indices`.
@@ -140,8 +140,7 @@ def with_best_hold(
             notes += indices.choice.evidence("the index of the declared model", refuted)
     for skew in _possible_skews(best, records, indices):
         shifted = searched(skew.hold, skew)
-        fits_better = _best([best, shifted]) is shifted and _preferred(shifted, best)
-        if fits_better and not _predicts_worse(shifted, best):
+        if _takes_place(shifted, best):
             hold = hold_text(skew.hold, records[0].input_names)
             notes = notes if skew.hold == best.hold else (f"hold {hold}",)
             best, notes = shifted, (*notes, skew.evidence(records[0]))
@@ -181,8 +180,7 @@ def with_held_inputs(
     parts = (with_hold(part, shared(zeros)) for part in (records, held_out))
     rival = answered(*parts)
     runs, rival_runs = discovery.after, rival.after
-    explains = rival.status.code in ("complete", "partial", "nothing_missing")
-    if not explains or runs is None or rival_runs is None:
+    if rival.status.code not in _EXPLAINS or runs is None or rival_runs is None:
         return discovery
     growth = mean_error((rival_runs, rival.windows_after))
     growth -= mean_error((runs, discovery.windows_after))
@@ -255,26 +253,26 @@ def _best(trials: Sequence[_Trial]) -> _Trial:
     return trials[min(range(len(trials)), key=order)]
 
 
-def _preferred(shifted: _Trial, best: _Trial) -> bool:
-    """Whether shifted inputs fit clearly better, or need fewer effects."""
-    new, old = _powers([shifted.fit, best.fit])
-    fewer = len(shifted.answer.added) < len(best.answer.added)
-    return fewer or new < (1.0 - _RULES.same) * old
+def _takes_place(shifted: _Trial, best: _Trial) -> bool:
+    """Whether inputs are shifted: the final model fits clearly better, or needs fewer effects.
 
-
-def _predicts_worse(shifted: _Trial, best: _Trial) -> bool:
-    """Whether errors of free runs are larger with shifted inputs.
-
-    Passes take the mean of an input over a step; behind a dead zone or a limit the index may be
-    smaller with inputs at another time, where jumps of the input are spread.
+    Passes take the mean of an input over a step: behind a dead zone or a limit, where jumps of the
+    input are spread, the index may be smaller, or larger, with inputs at another time. So they stay
+    where they are if free runs miss by half as much again, and are shifted for fewer effects if
+    free runs are as good.
     """
     old, new = best.answer, shifted.answer
+    fewer = len(new.added) < len(old.added)
+    new_power, old_power = _powers([shifted.fit, best.fit])
+    fits = fewer or new_power < (1.0 - _RULES.same) * old_power
+    fits &= _best([best, shifted]) is shifted
     if old.after is None or new.after is None:
-        return False
+        return fits
     growth = mean_error((new.after, new.windows_after))
     growth -= mean_error((old.after, old.windows_after))
-    fewer = len(new.added) < len(old.added)
-    return growth > (RULES.judge.min_fall if fewer else RULES.judge.same_error)
+    if fewer and new.status.code in _EXPLAINS and growth < RULES.judge.min_fall:
+        return True
+    return fits and growth <= -np.log(RULES.answer.confirmed)
 
 
 def _possible_skews(best: _Trial, records: Records, indices: HoldIndices) -> list[Skew]:

@@ -164,6 +164,15 @@ class AbstractEffect(ABC):
         """What a fit goes on to where this one fits; None for an effect of a single form."""
         return None
 
+    def further_starts(self, values: Sequence[float]) -> list[tuple[float, ...]]:
+        """Where fits also begin that a score test nominated with these parameters.
+
+        Args:
+            values: gains, then shapes.
+        """
+        del values
+        return []
+
     def limit(self, kind: str = "") -> "AbstractEffect | None":
         """What it becomes where a parameter runs off; None where that is no law.
 

@@ -1,5 +1,6 @@
 """Forces with memory."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -167,6 +168,11 @@ class SecondMass(AbstractTerm):
         shares = np.array([0.1, 0.6])  # of the damping, over the frequency
         pairs = np.meshgrid(frequencies, shares, indexing="ij")
         return np.stack([pairs[0], pairs[0] * pairs[1]], axis=-1).reshape(-1, 2)
+
+    def further_starts(self, values: Sequence[float]) -> list[tuple[float, ...]]:
+        # The residual shows the frequency with which both swing, ω √(1 + r), as if r were small.
+        _, both, damping = values
+        return [(r, both / np.sqrt(1.0 + r), damping) for r in (1.0, 4.0)]
 
     def rate(self, at: At, shape: Any) -> Any:
         relative = at.z[1] - at.v
