@@ -144,7 +144,9 @@ def search_free_runs(
     Returns:
         None where the model has no fit, the records are too short to judge, or the rival stays.
     """
-    tried = [effect for effect in effects if not isinstance(effect, Drift | SinusoidalDisturbance)]
+    library = [
+        effect for effect in effects if not isinstance(effect, Drift | SinusoidalDisturbance)
+    ]
     judge = Judge.of(variants[0][1], starts[0])
     if judge is None:
         return None
@@ -154,18 +156,18 @@ def search_free_runs(
     if not searches:
         return None
     search = _most_likely(searches)
-    trials = _first_trials(search, starts, tried, level, further, present)
+    trials = _first_trials(search, starts, library, level, further, present)
     best, rounds = search.base, []
-    if (contest := _round(search, trials, (best, ()), tried)) is not None:
+    if (contest := _round(search, trials, (best, ()), library)) is not None:
         best, rounds = contest.chosen, [contest]
     if rounds and not present:
-        best, rounds = _continued(search, (best, rounds), tried, level)
-    search, best = _made_best(searches, search, search.narrowed(search.leanest(best), tried))
+        best, rounds = _continued(search, (best, rounds), library, level)
+    search, best = _made_best(searches, search, search.narrowed(search.leanest(best), library))
     while not (fits := search.settled(best)):
         best = rounds.pop().origin
     # Each on records made as it was found with.
-    own = replace(search.judge, records=variants[0][1])
-    if rival is not None and own.prefers(own.runs(rival), fits[0].runs):
+    first_judge = replace(search.judge, records=variants[0][1])
+    if rival is not None and first_judge.prefers(first_judge.runs(rival), fits[0].runs):
         return None
     return FreeRunAnswer.of(search, fits, starts[0], rounds)
 
@@ -196,12 +198,12 @@ def _first_trials(
         models += [(*candidate, best) for candidate in further if not _in_time(candidate[1])]
     fits = [search.fitted(*model) for model in models]
     if not explained:
-        again = [
+        restarts = [
             (plant.with_parameters(starts[-1].parameters), placed, best)
             for (plant, placed, origin), fit in zip(models, fits, strict=True)
             if origin is best and not (search.ends_alike and _is_settled(fit))
         ]
-        fits += [search.fitted(*model) for model in again]
+        fits += [search.fitted(*model) for model in restarts]
     fits += [search.fitted(*model, best) for model in replacements(best, effects)]
     return [fit for fit in fits if fit is not None]
 

@@ -62,15 +62,15 @@ class Search:
     ) -> "Search | None":
         """With the best base of each length of runs; None without a fit."""
         bases: list[Judged] = []
-        searched, alike = portion(records, starts[0]), len(starts) > 1
+        searched, agree = portion(records, starts[0]), len(starts) > 1
         for window in (judge.longest, judge.window):
             ends = [_fitted(start, present, searched, window, judge) for start in starts]
             fits = [fit for fit in ends if fit is not None]
             bases += [min(fits, key=lambda fit: fit.error)] if fits else []
-            alike &= len(fits) == len(ends)
-            alike &= all(judge.is_same(fit.error, bases[-1].error) for fit in fits)
+            agree &= len(fits) == len(ends)
+            agree &= all(judge.is_same(fit.error, bases[-1].error) for fit in fits)
         ordered = sorted(bases, key=lambda fit: fit.error)
-        return cls(records, searched, judge, tuple(ordered), alike) if bases else None
+        return cls(records, searched, judge, tuple(ordered), agree) if bases else None
 
     @property
     def is_lost(self) -> bool:

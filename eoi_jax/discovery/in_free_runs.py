@@ -248,8 +248,9 @@ def with_further_effects(
     """The discovery refined, with effects that only free runs show beside its own.
 
     Effects are added where they lower the errors of the refined answer as much as what confirms an
-    effect elsewhere; the answer is refined where that lowers them by more than chance. A skew of
-    the inputs may stand for a lag: then records are also taken as they were logged.
+    effect elsewhere, products only where they leave no more than noise; the answer is refined where
+    that lowers them by more than chance. A skew of the inputs may stand for a lag: then records are
+    also taken as they were logged.
 
     Args:
         discovery: the answer so far, which explains the injection.
@@ -274,7 +275,8 @@ def with_further_effects(
     further = model.placed[len(present) :]
     hints = []
     confirms = bool(further) and ratio < RULES.answer.confirmed
-    if confirms and any(isinstance(at.effect, PRODUCTS) for at in further):
+    is_product = any(isinstance(at.effect, PRODUCTS) for at in further)
+    if confirms and is_product and beyond_noise(model.runs[1], answer.judging):
         # It names no cause, and would take its share of those that are named.
         hints = [_HINT.format(" and ".join(_signals_of(plant, at) for at in further), ratio)]
     if hints or not confirms:

@@ -76,15 +76,18 @@ def test_an_effect_that_it_needs_stays(found):
     assert unless_refined_is_better(found, (record(SPRING, 1),)) is found
 
 
-def test_a_product_beside_the_answer_is_a_hint_and_no_effect(found):
-    hidden = SPRING | {Product("y", "u"): 0.3}
+@pytest.mark.parametrize("drag", [0.0, 0.2])
+def test_a_product_beside_the_answer_is_added_where_it_leaves_no_more_than_noise(found, drag):
+    """Else it is a hint: it names no cause, and takes its share of what does."""
+    hidden = SPRING | {Product("y", "u"): 0.3, effects.QuadraticDrag(): drag}
     fit, held = record(hidden, 1), record(hidden, 2)
     left = judged_on(found, held)
     assert leaves_more(left)
     answer = with_further_effects(left, (fit,), (held,), [Product("y", "u")], None, 0.01)
-    assert answer.effects == ("cubic_stiffness",)
-    (hint,) = (note for note in answer.notes if "names no cause" in note)
-    assert "with the product of y and u beside the answer" in hint
+    hints = [note for note in answer.notes if "names no cause" in note]
+    assert answer.effects == ("cubic_stiffness",) + (("product",) if drag == 0.0 else ())
+    assert bool(hints) is (drag != 0.0)
+    assert all("with the product of y and u beside the answer" in hint for hint in hints)
 
 
 def test_a_law_beside_the_answer_is_added(found):

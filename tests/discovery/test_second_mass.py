@@ -6,9 +6,12 @@ from scipy.linalg import expm
 
 import eoi_jax as eoi
 from eoi_jax import effects
+from eoi_jax.discovery.free_run_candidates import candidates
+from eoi_jax.discovery.judge import Judged
 from eoi_jax.models.placements import placements
 from eoi_jax.refinement.refine import refine_once
 from eoi_jax.refinement.remaining import remaining
+from eoi_jax.simulation.validate import judged_runs
 
 PERIOD, COUNT = 0.01, 600
 GAIN, FRICTION, RATIO, FREQUENCY, DAMPING = 50.0, 4.0, 0.6, 20.0, 1.5
@@ -99,6 +102,21 @@ def test_the_states_along_a_run_are_those_of_the_mass(in_bearing: bool):
     np.testing.assert_allclose(along[:, 0, :, 1], middles, atol=2e-3)
     np.testing.assert_allclose(along[:, 0, :, 2], ends, atol=2e-3)
     np.testing.assert_array_equal(along[:, 0, 1:, 0], along[:, 0, :-1, 2])
+
+
+def test_a_heavy_mass_is_tried_from_its_own_frequency():
+    """Both swing with ω √(1 + r), which is what the residual shows as if r were small."""
+    starts = effects.SecondMass().further_starts((0.1, 30.0, 2.0))
+    assert len(starts) == 2
+    for ratio, frequency, damping in starts:
+        assert frequency * np.sqrt(1.0 + ratio) == pytest.approx(30.0)
+        assert damping == 2.0
+    refined = refine_once(SHAFT, (driven(1, measured=1),), None)
+    run = judged_runs(refined.plant, (driven(2, measured=1),))
+    judged = Judged(refined, (), (run, None))
+    models = candidates(judged, [effects.SecondMass()], 0.01)
+    ratios = {round(plant.parameters["second_mass_ratio"], 6) for plant, _ in models}
+    assert {1.0, 4.0} < ratios
 
 
 def test_only_what_is_driven_and_moves_has_a_second_mass():

@@ -158,7 +158,8 @@ class ValveFlow(AbstractInputEffect):
     only_in_free_runs = True
 
     def fits(self, plant: Plant, output: int) -> bool:
-        return len(plant.outputs) == 1 and plant.degrees[0] == 1
+        no_pressure = plant.kinds[plant.outputs[0]] in ("temperature", "concentration", "current")
+        return len(plant.outputs) == 1 and plant.degrees[0] == 1 and not no_pressure
 
     def grid(self, seen: Seen) -> Grid:
         size = float(np.max(np.abs(seen.y))) or 1.0

@@ -171,8 +171,8 @@ class SecondMass(AbstractTerm):
 
     def further_starts(self, values: Sequence[float]) -> list[tuple[float, ...]]:
         # The residual shows the frequency with which both swing, ω √(1 + r), as if r were small.
-        _, both, damping = values
-        return [(r, both / np.sqrt(1.0 + r), damping) for r in (1.0, 4.0)]
+        _, joint, damping = values
+        return [(r, joint / np.sqrt(1.0 + r), damping) for r in (1.0, 4.0)]
 
     def rate(self, at: At, shape: Any) -> Any:
         relative = at.z[1] - at.v

@@ -97,7 +97,7 @@ class Radiation(AbstractTerm):
         return plant.degrees[output] == 1 and unit in (_CELSIUS if self.celsius else ("K",))
 
     def grid(self, seen: Seen) -> Grid:
-        return quantiles(seen.y, (0.02, 0.1, 0.3, 0.6))
+        return quantiles(seen.y, (0.0, 0.1, 0.3, 0.6))
 
     def term(self, at: At, gain: Any, shape: Any) -> Any:
         zero = _ZERO_CELSIUS if self.celsius else 0.0

@@ -237,7 +237,8 @@ def test_a_power_of_a_speed_ends_in_dry_friction():
     power = effects.PowerLoss()
     assert power.limit("speed") == effects.CoulombFriction()
     assert power.limit("level") is None
-    at = At(0.0, *np.array([[-2.0, 0.3]] * 2), 0.0, ())
+    speed = np.array([-2.0, 0.3])
+    at = At(0.0, speed, speed, 0.0, ())
     friction = effects.CoulombFriction().term(at, (1.5,), ())
     np.testing.assert_allclose(power.term(at, (1.5,), (1e-9,)), friction, rtol=1e-8)
 
