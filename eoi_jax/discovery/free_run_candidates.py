@@ -57,7 +57,8 @@ def candidates(
     products = [i for i, (_, placed) in enumerate(models) if _has_product(placed)]
     models = [model for i, model in enumerate(models) if i not in products[allowed:]]
     shapes = [(item.placed, item.values) for item in _further_shapes(tested, items)]
-    further = [*shapes[: _RULES.shapes], *_further_starts(items)]
+    # What changes the whole motion comes first, not beside what explains most of it.
+    further = [*shapes[: _RULES.shapes], *([] if best.placed else _further_starts(items))]
     # There may be many dependences, too: they have room of their own.
     laws = [model for model in models if not has_dependence(model[1])]
     dependences = [model for model in models if has_dependence(model[1])]
