@@ -63,8 +63,6 @@ class ScoreTestSettings:
     # input: a damper that yields asked for 10. Set with that record (mr_damper) in view; 2 before.
     min_change: float = 0.5
     max_change: float = 20.0
-    near_rest: float = 0.02  # of the largest speed: of a speed at rest
-    min_rest: float = 0.05  # share of the samples at rest of a speed that comes to rest
     min_new: float = 1e-6  # share of a column's power that the model's own unknowns must leave
 
 
@@ -156,20 +154,13 @@ class LinearisedRuns:
         moving = np.std(level) or 1.0
         band = float(np.std(rate) / moving) if y.shape[-2] > 1 else 1.0 / (10.0 * period)
         duration = max(float(record.time[-1] - record.time[0]) for record in self.records)
+        measured = np.concatenate([record.outputs[:, placed.output] for record in self.records])
         return Seen(
             level, rate, np.ravel(channel), placed.row == 0, 0.0, duration, period,
             band or 1.0 / duration, self._peaks(period),
             kind=self.plant.kinds[self.plant.outputs[placed.output]],
-            rests=self._rests(placed.output),
+            measured_y=measured[np.isfinite(measured)],
         )  # fmt: skip
-
-    def _rests(self, output: int) -> bool:
-        """Whether an output, as measured, stays near zero on one side of it."""
-        measured = np.concatenate([record.outputs[:, output] for record in self.records])
-        measured = measured[np.isfinite(measured)]
-        size = np.max(np.abs(measured), initial=0.0)
-        resting = np.sign(np.median(measured)) * measured <= _SETTINGS.near_rest * size
-        return bool(np.mean(resting) > _SETTINGS.min_rest)
 
     def _peaks(self, period: float) -> Float[np.ndarray, " peaks"]:
         """Frequencies at which the residual stands out [rad/s]."""

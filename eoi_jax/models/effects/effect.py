@@ -96,7 +96,7 @@ class Seen:
         lags: lags at which the residual follows the input [s].
         kind: what the output is (`models/kinds.py`); "" where that is not known.
         wavenumbers: at which the residual repeats along the position, many periods [1/unit of y].
-        rests: whether the output, a speed, stays near zero for a while, in free runs.
+        measured_y: samples of the output that `y` simulates; none where `y` itself is measured.
     """
 
     y: Float[np.ndarray, " samples"]
@@ -111,7 +111,19 @@ class Seen:
     lags: Float[np.ndarray, " lags"] = field(default_factory=lambda: np.zeros(0))
     kind: str = ""
     wavenumbers: Float[np.ndarray, " wavenumbers"] = field(default_factory=lambda: np.zeros(0))
-    rests: bool = False
+    measured_y: Float[np.ndarray, " outputs"] = field(default_factory=lambda: np.zeros(0))
+
+    near_rest: ClassVar[float] = 0.02  # of the largest speed: of a speed at rest
+    least_rest: ClassVar[float] = 0.05  # share of the samples at rest of a speed that stops
+
+    @property
+    def rests(self) -> bool:
+        """Whether the output that is simulated stays near zero, on one side of it, for a while."""
+        size = np.max(np.abs(self.measured_y), initial=0.0)
+        if size == 0.0:
+            return False
+        side = np.sign(np.median(self.measured_y))
+        return bool(np.mean(side * self.measured_y <= self.near_rest * size) > self.least_rest)
 
     @property
     def is_speed(self) -> bool:

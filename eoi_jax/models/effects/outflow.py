@@ -97,7 +97,9 @@ class Radiation(AbstractTerm):
         return plant.degrees[output] == 1 and unit in (_CELSIUS if self.celsius else ("K",))
 
     def grid(self, seen: Seen) -> Grid:
-        return quantiles(seen.y, (0.0, 0.1, 0.3, 0.6))
+        # A model that lacks it starts anywhere.
+        y = seen.measured_y if len(seen.measured_y) else seen.y
+        return quantiles(y, (0.0, 0.1, 0.3, 0.6))
 
     def term(self, at: At, gain: Any, shape: Any) -> Any:
         zero = _ZERO_CELSIUS if self.celsius else 0.0
