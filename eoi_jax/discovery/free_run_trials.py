@@ -143,8 +143,10 @@ class Search:
                 placed.append(end)
             else:
                 return None
-        trial = self.with_only(placed, model)
-        return None if trial is None or self._of_unknown_size(trial) else trial
+        # Of what ran off the values say nothing: else from those of the base.
+        trials = (self.with_only(placed, start) for start in (model, self.base))
+        sized = (trial for trial in trials if trial and not self._of_unknown_size(trial))
+        return next(sized, None)
 
     def narrowed(
         self, model: Judged, effects: Sequence[AbstractEffect], ended: bool = False
@@ -375,8 +377,13 @@ def count_of(records: tuple[Record, ...]) -> int:
 
 
 def _lost_shapes(model: Judged, placed: Sequence[Placed]) -> tuple[str, ...]:
-    """Shapes of effects that leave no trace beside the other parameters, which do."""
+    """Shapes of effects that only together with a parameter of the model leave a trace.
+
+    Of an effect that says something else: one without any trace goes.
+    """
     lost = {name for name, error in model.refinement.standard_errors.items() if np.isposinf(error)}
+    if lost <= {name for item in model.placed for name in item.names}:
+        return ()
     effects = [item for item in placed if not lost.issuperset(item.names)]
     shapes = [name for item in effects for name in item.names[len(item.effect.gains) :]]
     return tuple(name for name in shapes if name in lost)

@@ -272,7 +272,7 @@ def _takes_place(shifted: _Trial, best: _Trial) -> bool:
     growth -= mean_error((old.after, old.windows_after))
     if fewer and new.status.code in _EXPLAINS and growth < RULES.judge.min_fall:
         return True
-    return fits and growth <= -np.log(RULES.answer.confirmed)
+    return bool(fits and growth <= -np.log(RULES.answer.confirmed))
 
 
 def _possible_skews(best: _Trial, records: Records, indices: HoldIndices) -> list[Skew]:

@@ -112,7 +112,7 @@ def plainer(plant: Plant, wide: Placed, library: Sequence[AbstractEffect]) -> It
         library: contains the simpler effects.
     """
     location = wide.channel, wide.against, wide.through
-    if (law := limit_of(plant, wide)) is not None:
+    if (law := limit_of(plant, wide)) is not None and len(law.names) < len(wide.names):
         yield law
     for effect in library:
         if isinstance(effect, AbstractTerm) and wide.effect.contains == (effect.name,):

@@ -1,7 +1,7 @@
 """What stands in front of the highest derivative: a capacity, or a rate of its own each way."""
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, ClassVar
 
 import jax.numpy as jnp
@@ -66,6 +66,11 @@ class VaryingCapacity(AbstractCascade):
         if self.law == "linear":
             return bool(np.any(seen.y))
         return turns(seen.y) if self.law == "even" else bool(np.min(seen.y) > 0.0)
+
+    def limit(self, kind: str = "") -> "VaryingCapacity | None":
+        """Where 1 + q y runs off to q y, a power of the output."""
+        del kind
+        return replace(self, law="power") if self.law == "linear" else None
 
     def grid(self, seen: Seen) -> Grid:
         if self.law == "power":

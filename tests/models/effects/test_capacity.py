@@ -206,3 +206,10 @@ def test_laws_of_input_and_output_are_named_and_measured(law, name, values):
     assert answer.effects == (name,)
     for parameter, value in values.items():
         assert answer.plant.parameters[parameter] == pytest.approx(value, rel=0.02)
+
+
+def test_a_capacity_that_grows_without_bound_ends_in_a_power():
+    """1 + q y is q y there, a power of exponent one; an even law is one of both signs."""
+    assert effects.VaryingCapacity("linear").limit() == effects.VaryingCapacity("power")
+    assert effects.VaryingCapacity("even").limit() is None
+    assert effects.VaryingCapacity("power").limit() is None
