@@ -332,7 +332,7 @@ def test_an_actuator_that_is_purely_quadratic_gives_the_square_of_its_input():
     assert any("input_quadratic" in note and "no better in free runs" in note for note in got.notes)
 
     class Bent(effects.InputQuadratic):
-        def limit(self):
+        def limit(self, kind=""):
             return None
 
     endless = eoi.discover(declared, record(1), record(2), [Bent(odd=True), "constant_offset"])
