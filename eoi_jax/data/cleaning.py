@@ -36,9 +36,9 @@ SHORTEST = 8  # samples: a quintic spline takes six, an eighth difference nine
 SLOW = 1.5  # samples between two of an output, on average, from which on it has its own rate
 LONGEST_HELD = 2  # missing samples of a held input that is the same before and after them
 
-Names: TypeAlias = Sequence[str] | None
 _UNKNOWN = "Inputs are unknown at {} in {}: free runs start again after each."
 
+Names: TypeAlias = Sequence[str] | None
 # Inputs, outputs, where all inputs are known, and where each output was measured.
 OnGrid: TypeAlias = tuple[
     Float[np.ndarray, "points nu"],

@@ -179,11 +179,9 @@ def with_held_inputs(
         return discovery
     parts = (with_hold(part, shared(zeros)) for part in (records, held_out))
     rival = answered(*parts)
-    runs, rival_runs = discovery.after, rival.after
-    if rival.status.code not in _EXPLAINS or runs is None or rival_runs is None:
+    growth = _growth(discovery, rival)
+    if rival.status.code not in _EXPLAINS or growth is None:
         return discovery
-    growth = mean_error((rival_runs, rival.windows_after))
-    growth -= mean_error((runs, discovery.windows_after))
     fewer = len(rival.added) < len(discovery.added)
     # An effect that lowers them by less would be left out elsewhere.
     if growth >= (RULES.judge.min_fall if fewer else -RULES.judge.min_fall):
@@ -265,14 +263,21 @@ def _takes_place(shifted: _Trial, best: _Trial) -> bool:
     fewer = len(new.added) < len(old.added)
     new_power, old_power = _powers([shifted.fit, best.fit])
     fits = fewer or new_power < (1.0 - _RULES.same) * old_power
-    fits &= _best([best, shifted]) is shifted
-    if old.after is None or new.after is None:
+    fits = bool(fits and _best([best, shifted]) is shifted)
+    growth = _growth(old, new)
+    if growth is None:
         return fits
-    growth = mean_error((new.after, new.windows_after))
-    growth -= mean_error((old.after, old.windows_after))
     if fewer and new.status.code in _EXPLAINS and growth < RULES.judge.min_fall:
         return True
     return bool(fits and growth <= -np.log(RULES.answer.confirmed))
+
+
+def _growth(old: Discovery, new: Discovery) -> float | None:
+    """By how much the mean log error of free runs grows; None where an answer has none."""
+    if old.after is None or new.after is None:
+        return None
+    after = mean_error((new.after, new.windows_after))
+    return after - mean_error((old.after, old.windows_after))
 
 
 def _possible_skews(best: _Trial, records: Records, indices: HoldIndices) -> list[Skew]:

@@ -154,12 +154,13 @@ class LinearisedRuns:
         moving = np.std(level) or 1.0
         band = float(np.std(rate) / moving) if y.shape[-2] > 1 else 1.0 / (10.0 * period)
         duration = max(float(record.time[-1] - record.time[0]) for record in self.records)
-        measured = np.concatenate([record.outputs[:, placed.output] for record in self.records])
+        j = placed.output
+        measured = [record.outputs[record.output_valid[:, j], j] for record in self.records]
         return Seen(
             level, rate, np.ravel(channel), placed.row == 0, 0.0, duration, period,
             band or 1.0 / duration, self._peaks(period),
-            kind=self.plant.kinds[self.plant.outputs[placed.output]],
-            measured_y=measured[np.isfinite(measured)],
+            kind=self.plant.kinds[self.plant.outputs[j]],
+            measured_y=np.concatenate(measured),
         )  # fmt: skip
 
     def _peaks(self, period: float) -> Float[np.ndarray, " peaks"]:
