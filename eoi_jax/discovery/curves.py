@@ -248,9 +248,11 @@ def _share(runs: LinearisedRuns, placed: Placed) -> float:
 
 
 def _fitted(search: Search, origin: Judged, placed: Placed) -> Judged | None:
-    """A model with a curve that starts from zero."""
+    """A model with a curve that starts from zero; None where parts of it leave no trace."""
     plant = augmented(origin.refinement.plant, [placed], dict.fromkeys(placed.names, 0.0))
-    return search.fitted(plant, (placed,), origin)
+    trial = search.fitted(plant, (placed,), origin)
+    traced = trial is not None and trial.refinement.status.code != "unidentifiable"
+    return trial if traced else None
 
 
 def _signal(seen: Seen, placed: Placed) -> Float[np.ndarray, " samples"]:

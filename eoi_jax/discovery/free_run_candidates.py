@@ -4,14 +4,28 @@ Those of which a score test says most; a few places are for products of signals,
 cause, and for dependences of a parameter.
 """
 
+from collections import Counter
 from collections.abc import Sequence
 
 from eoi_jax.discovery.judge import Judged
 from eoi_jax.discovery.replacements import Model
 from eoi_jax.discovery.rules import RULES
 from eoi_jax.models.augmented import Placed, augmented
-from eoi_jax.models.effects import PRODUCTS, ConstantOffset, ParameterDependence
-from eoi_jax.models.effects.effect import AbstractCascade, AbstractEffect
+from eoi_jax.models.effects import (
+    PRODUCTS,
+    ActuatorLag,
+    ConstantOffset,
+    InputDelay,
+    ParameterDependence,
+    SecondNode,
+)
+from eoi_jax.models.effects.effect import (
+    INPUT_EFFECTS,
+    AbstractActuator,
+    AbstractCascade,
+    AbstractEffect,
+    AbstractTerm,
+)
 from eoi_jax.models.placements import placements
 from eoi_jax.refinement.remaining import Remaining, remaining
 from eoi_jax.refinement.score_test import Candidate, is_tested
@@ -47,6 +61,8 @@ def candidates(
         sets += [((placed,), dict.fromkeys(placed.names, 0.0))
                  for placed in placements(plant, offsets)]  # fmt: skip
     certain = [((placed,), {}) for placed in placements(plant, untested)]
+    if not best.placed:
+        certain += _of_higher_order(tested)
     first: dict[Sites, Model] = {}
     for placed, values in [*certain, *sets]:
         if not _repeated(best.placed, placed):
@@ -63,10 +79,48 @@ def candidates(
     laws = [model for model in models if not has_dependence(model[1])]
     dependences = [model for model in models if has_dependence(model[1])]
     return [
-        *laws[: _RULES.tried + len(certain)],
+        *_of_each_kind(laws, _RULES.tried + len(certain)),
         *dependences[: _RULES.dependences],
         *((augmented(plant, placed, values), placed) for placed, values in further),
     ]
+
+
+def _of_each_kind(laws: Sequence[Model], count: int) -> list[Model]:
+    """The first so many, then single ones of each kind of which fewer than two are among them.
+
+    A lag of the drive and a loss of the output are told apart by no order: where many losses do
+    alike, as an offset and a product with an input that stands still, they leave it no place.
+    """
+    chosen = list(laws[:count])
+    counts = Counter(_kind(item.effect) for _, placed in chosen for item in placed)
+    for model in laws[count:]:
+        kind = _kind(model[1][0].effect)
+        if len(model[1]) == 1 and counts[kind] < _RULES.of_a_kind:
+            chosen.append(model)
+            counts[kind] += 1
+    return chosen
+
+
+def _kind(effect: AbstractEffect) -> tuple[bool, bool]:
+    """Whether it acts on an input, and whether it remembers."""
+    if isinstance(effect, INPUT_EFFECTS):
+        return True, isinstance(effect, AbstractActuator)
+    return False, not isinstance(effect, AbstractTerm) or effect.states > 0
+
+
+def _of_higher_order(tested: Remaining) -> list[tuple[tuple[Placed, ...], dict[str, float]]]:
+    """A lag, a dead time and a second store: what makes the order of the plant higher.
+
+    They are tried first by hand, too. A base of lower order has bent its time constants and levels
+    to make up for them, and a score test along it says little of them.
+    """
+    chosen = []
+    for kind in (ActuatorLag, InputDelay, SecondNode):
+        of_kind = [item for item in tested.ranking if isinstance(item.placed[0].effect, kind)]
+        if of_kind:
+            item = max(of_kind, key=lambda item: item.share)
+            chosen.append((item.placed, item.values))
+    return chosen
 
 
 def has_dependence(placed: Sequence[Placed]) -> bool:

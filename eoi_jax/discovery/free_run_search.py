@@ -45,6 +45,7 @@ from eoi_jax.models.augmented import Placed
 from eoi_jax.models.effects import Drift, SinusoidalDisturbance
 from eoi_jax.models.effects.effect import AbstractEffect
 from eoi_jax.models.plant import Plant
+from eoi_jax.simulation.error_growth import is_lost
 from eoi_jax.simulation.sensor_noise import is_exact
 
 _RULES = RULES.free_runs
@@ -99,6 +100,12 @@ class FreeRunAnswer:
         """The model with the effects that stayed, which is judged; the base where none did."""
         return self.fits[0]
 
+    @property
+    def is_lost(self) -> bool:
+        """Whether whole free runs say nothing of its best model either."""
+        error = self.best.runs[0].nrmse
+        return is_lost(error, np.ones_like(error))
+
     @cached_property
     def final(self) -> Judged:
         """Of the fits of that model the judged one, unless another is better on all records.
@@ -150,19 +157,37 @@ def search_free_runs(
     judge = Judge.of(variants[0][1], starts[0])
     if judge is None:
         return None
+    asked = starts, variants, library, level, further, rival, present
     searches = _begun(starts, variants, judge, present)
-    if searches and all(search.is_lost for search in searches):
-        searches = _begun(starts, variants, judge.without_whole_runs(), present)
     if not searches:
         return None
+    answer = _answer(searches, *asked)
+    if all(search.is_lost for search in searches) and (answer is None or answer.is_lost):
+        # Whole runs say nothing of any model: what they sum up is not what it lacks.
+        searches = _begun(starts, variants, judge.without_whole_runs(), present)
+        return _answer(searches, *asked) if searches else None
+    return answer
+
+
+def _answer(
+    searches: Sequence[Search],
+    starts: Sequence[Plant],
+    variants: Sequence[RecordPair],
+    effects: Sequence[AbstractEffect],
+    level: float,
+    further: Sequence[Model],
+    rival: Plant | None,
+    present: tuple[Placed, ...],
+) -> FreeRunAnswer | None:
+    """What searches on records made in several ways come to; None where the rival stays."""
     search = _most_likely(searches)
-    trials = _first_trials(search, starts, library, level, further, present)
+    trials = _first_trials(search, starts, effects, level, further, present)
     best, rounds = search.base, []
-    if (contest := _round(search, trials, (best, ()), library)) is not None:
+    if (contest := _round(search, trials, (best, ()), effects)) is not None:
         best, rounds = contest.chosen, [contest]
     if rounds and not present:
-        best, rounds = _continued(search, (best, rounds), library, level)
-    search, best = _made_best(searches, search, search.narrowed(search.leanest(best), library))
+        search, best, rounds = _continued(searches, search, (best, rounds), effects, level)
+    search, best = _made_best(searches, search, search.narrowed(search.leanest(best), effects))
     while not (fits := search.settled(best)):
         best = rounds.pop().origin
     # Each on records made as it was found with.
@@ -209,16 +234,21 @@ def _first_trials(
 
 
 def _is_settled(fit: Judged | None) -> bool:
-    """Whether another start would end alike: a fit that converged, or of which nothing is told."""
-    return fit is None or fit.refinement.status.code == "converged"
+    """Whether another start would end alike: a fit that converged and tells what it is of."""
+    return fit is not None and fit.refinement.status.code == "converged"
 
 
 def _continued(
-    search: Search, course: Course, effects: Sequence[AbstractEffect], level: float
-) -> tuple[Judged, list[Contest]]:
-    """Further rounds, until none adds an effect."""
+    searches: Sequence[Search],
+    search: Search,
+    course: Course,
+    effects: Sequence[AbstractEffect],
+    level: float,
+) -> tuple[Search, Judged, list[Contest]]:
+    """Further rounds, until none adds an effect; each on records made as fits its model best."""
     best, rounds = course
     for _ in range(len(rounds), _RULES.most):
+        search, best = _made_better(searches, search, best)
         if _is_exact(best):
             break
         fits = [search.fitted(*model, best) for model in candidates(best, effects, level)]
@@ -232,7 +262,7 @@ def _continued(
             best = lean
         else:
             best, rounds = contest.chosen, [*rounds, contest]
-    return best, list(rounds)
+    return search, best, list(rounds)
 
 
 def _round(
@@ -244,6 +274,8 @@ def _round(
     accepted = [trial for trial in trials if search.accepts(trial, best, rounds)]
     if not accepted:
         return None
+    # One that the records of the fit deny is taken where nothing else is: as a lead.
+    accepted = [trial for trial in accepted if not search.is_denied(trial, best)] or accepted
     chosen = search.judge.plainest_of_all(trials, search.answers(accepted) or accepted)
     plain = search.narrowed(chosen, effects, ended=True)
     return Contest(best, plain, (*trials, *([plain] if plain is not chosen else [])))
@@ -294,6 +326,21 @@ def _begun(
     return [search for search in searches if search is not None]
 
 
+def _made_better(searches: Sequence[Search], search: Search, best: Judged) -> tuple[Search, Judged]:
+    """A model on records made in the way that fits it best, from where it is.
+
+    What the declared model lacks hides by how many samples its inputs are off: effects of the next
+    round would stand in for that.
+    """
+    pairs = [(search, best)]
+    for variant in searches:
+        if variant is not search:
+            trial = variant.refitted(best)
+            if trial is not None and _is_better_made([trial], best, variant):
+                pairs.append((variant, trial))
+    return min(pairs, key=lambda pair: pair[1].error)
+
+
 def _made_best(searches: Sequence[Search], search: Search, best: Judged) -> tuple[Search, Judged]:
     """The answer on records made in the way in which it predicts best, with their search.
 
@@ -305,11 +352,15 @@ def _made_best(searches: Sequence[Search], search: Search, best: Judged) -> tupl
         model = best.refinement.plant, best.placed
         trials = over_both(*model, variant.searched, variant.judge)
         trial = best_of(trials)
-        if trial is not None and (
-            variant.judge.needs(trial, best) or _fits_better(trials, best, variant)
-        ):
+        if trial is not None and _is_better_made(trials, best, variant):
             pairs.append((variant, variant.leanest(trial)))
     return min(pairs, key=lambda pair: pair[1].error)
+
+
+def _is_better_made(trials: Sequence[Judged], best: Judged, variant: Search) -> bool:
+    """Whether one of the fits of a model on other records predicts or fits better."""
+    predicts = any(variant.judge.needs(trial, best) for trial in trials)
+    return predicts or _fits_better(trials, best, variant)
 
 
 def _fits_better(trials: Sequence[Judged], best: Judged, variant: Search) -> bool:

@@ -12,13 +12,14 @@ import numpy as np
 from eoi_jax.data.record import Record
 from eoi_jax.discovery.additions import has_size, size_is_known
 from eoi_jax.discovery.free_run_candidates import has_dependence
-from eoi_jax.discovery.judge import Judge, Judged, mean_error
+from eoi_jax.discovery.judge import Judge, Judged, mean_error, only_otherwise
 from eoi_jax.discovery.parsimony import limit_of, plainer
 from eoi_jax.discovery.probability import Contest
 from eoi_jax.discovery.refit import not_simulated
 from eoi_jax.discovery.replacements import fixed_shapes, replaced_terms, turned_terms
 from eoi_jax.discovery.rules import RULES
 from eoi_jax.models.augmented import Placed, augmented, place
+from eoi_jax.models.effects import PRODUCTS
 from eoi_jax.models.effects.effect import AbstractEffect
 from eoi_jax.models.plant import Plant
 from eoi_jax.refinement.refine import refine_once
@@ -98,6 +99,18 @@ class Search:
         if self.judge.prefers(trial.runs, best.runs):
             return True
         return bool(rounds) and self.judge.replaces(trial, best, rounds[-1].origin)
+
+    def is_denied(self, trial: Judged, best: Judged) -> bool:
+        """Whether a model has a further product, and the records of the fit do not confirm it.
+
+        They could, and it is hardly better there: it was chosen of many, and names no cause.
+        """
+        further = (item.effect for item in trial.placed if item not in best.placed)
+        if not any(isinstance(effect, PRODUCTS) for effect in further):
+            return False
+        judge = Judge.of(self.searched, self.base.refinement.plant)
+        plants = trial.refinement.plant, best.refinement.plant
+        return judge is not None and only_otherwise(judge, *plants)
 
     def answers(self, models: Sequence[Judged]) -> list[Judged]:
         """Models whose errors are lower than those of the base by as much as makes an answer."""
@@ -291,6 +304,11 @@ class Search:
             return best
         return self.leanest(min(leaner, key=lambda fit: (fit.size, fit.error)))
 
+    def refitted(self, model: Judged) -> Judged | None:
+        """A model of records made in another way, refined on these over runs as long."""
+        runs = self.searched, model.refinement.window, self.judge
+        return _fitted(model.refinement.plant, model.placed, *runs)
+
     def settled(self, best: Judged) -> list[Judged]:
         """The model, and it refined over both lengths of runs; what predicts better first.
 
@@ -343,7 +361,9 @@ def _fitted(
     """A model refined and judged; None where there is no fit, or where no run tells its start."""
     if plant.rows + np.sum(plant.open_internal) >= judge.head:
         return None
-    refinement = refine_once(plant, records, window)
+    most = _RULES.stepped // count_of(records)
+    most = min(max(most, _RULES.fewest_steps), _RULES.steps)
+    refinement = refine_once(plant, records, window, max_steps=most)
     if not refinement.status.fits:
         return None
     return Judged(refinement, placed, judge.runs(refinement.plant))

@@ -4,13 +4,15 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.signal import lfilter
 
 import eoi_jax as eoi
 from eoi_jax import effects
-from eoi_jax.discovery import free_run_search
+from eoi_jax.discovery import free_run_candidates, free_run_search, free_run_trials
 from eoi_jax.discovery.free_run_trials import Search
 from eoi_jax.discovery.judge import Judge, Judged
 from eoi_jax.models.augmented import augmented, place
+from eoi_jax.refinement.estimate import unanswered
 from eoi_jax.refinement.refine import refine_once
 
 PLANT = eoi.Plant(lambda t, x, u, p: p.b * u - p.a * x.y[0], {"b": 1.0, "a": 0.5}, 1)
@@ -32,7 +34,7 @@ def record(seed):
     [
         (True, "converged", False),
         (True, "stalled", True),
-        (True, None, False),
+        (True, None, True),
         (False, "converged", True),
     ],
 )
@@ -63,3 +65,67 @@ def test_nominal_values_are_a_second_start_where_the_end_may_be_another(
     free_run_search._first_trials(search, [PLANT, PLANT], [offset.effect], 0.01, (), ())
     assert (1.0 in starts) is restarted
     assert len(starts) == 1 + restarted
+
+
+def test_an_order_higher_is_tried_where_the_score_test_says_little_of_it():
+    time = np.arange(300) * 0.1
+    u = np.repeat(np.random.default_rng(1).uniform(-1.0, 1.0, 20), 15)
+    late = np.interp(time - 0.2, time, u)
+    y = lfilter([0.0, 0.1], [1.0, -0.95], late)
+    late_record = eoi.Record(time, u, y, hold="zero")
+    judge = Judge.of((record(2),), PLANT)
+    assert judge is not None
+    search = Search.begun([PLANT], (late_record,), judge)
+    assert search is not None
+    laws = [effects.ActuatorLag(), effects.InputDelay(), effects.Leak()]
+    models = free_run_candidates.candidates(search.base, laws, 1e-300)
+    names = {item.effect.name for _, placed in models for item in placed}
+    assert names == {"actuator_lag", "input_delay"}
+    found = replace(search.base, placed=(place(PLANT, effects.Leak(), 0),))
+    assert free_run_candidates.candidates(found, laws, 1e-300) == []
+
+
+def test_further_kinds_of_effects_have_a_place_behind_the_first_ones():
+    kinds = [effects.ConstantOffset(), effects.Leak(), effects.QuadraticDrag()]
+    kinds += [effects.ActuatorLag(), effects.InputDelay(), effects.InputRate()]
+    models = [(PLANT, (place(PLANT, effect, 0),)) for effect in kinds]
+    chosen = free_run_candidates._of_each_kind(models, 2)
+    assert [placed[0].effect for _, placed in chosen] == [*kinds[:2], *kinds[3:5]]
+
+
+@pytest.mark.parametrize(("samples", "steps"), [(1000, 100), (4000, 50), (40_000, 20)])
+def test_short_records_are_fitted_to_the_end_of_a_valley(monkeypatch, samples, steps):
+    asked = []
+
+    def refined(plant, records, window, max_steps):
+        asked.append(max_steps)
+        return unanswered(plant, records, window, eoi.Status("diverged", "as told"))
+
+    monkeypatch.setattr(free_run_trials, "refine_once", refined)
+    part = eoi.Record(0.1 * np.arange(samples), np.ones(samples), np.ones(samples), hold="zero")
+    judge = Judge((part,), 10.0, 5, 5)
+    assert free_run_trials._fitted(PLANT, (), (part,), None, judge) is None
+    assert asked == [steps]
+
+
+def test_a_product_that_the_records_of_the_fit_deny_gives_way_to_a_law(monkeypatch):
+    judge = Judge.of((record(2),), PLANT)
+    assert judge is not None
+    search = Search.begun([PLANT], (record(1),), judge)
+    assert search is not None
+    base = search.base
+    sites = [place(PLANT, effect, 0) for effect in (effects.Product("y", "y"), effects.Leak())]
+    trials = [replace(base, placed=(site,)) for site in sites]
+    monkeypatch.setattr(Search, "accepts", lambda *_: True)
+    monkeypatch.setattr(Search, "answers", lambda *_: [])
+    monkeypatch.setattr(Search, "narrowed", lambda _, chosen, *__, **___: chosen)
+    for denies, name in ((True, "leak"), (False, "product")):
+        monkeypatch.setattr(free_run_trials, "only_otherwise", lambda *_, denies=denies: denies)
+        monkeypatch.setattr(Judge, "plainest_of_all", lambda _, trials, accepted: accepted[0])
+        contest = free_run_search._round(search, trials, (base, ()), [])
+        assert contest is not None
+        assert contest.chosen.placed[0].effect.name == name
+    monkeypatch.setattr(free_run_trials, "only_otherwise", lambda *_: True)
+    alone = free_run_search._round(search, trials[:1], (base, ()), [])
+    assert alone is not None
+    assert alone.chosen.placed[0].effect.name == "product"

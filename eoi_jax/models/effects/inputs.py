@@ -316,7 +316,12 @@ class ActuatorLag(AbstractActuator):
 
 
 class InputRate(AbstractActuator):
-    """u + L/T (u - z), T dz/dt = u - z: what follows the rate of the input too, smoothed over T."""
+    r"""u + L/T (u - z), T dz/dt = u - z: what follows the rate of the input too, smoothed over T.
+
+    A negative L is late, as a delay of -L is to first order where T = -L/2 (H. Padé). T is no
+    shorter than that: fast changes would come out larger than they go in, and the other way round,
+    which inverts a controller whose output the input is.
+    """
 
     name = "input_rate"
     sentence = "a response to the rate of the input"
@@ -327,27 +332,32 @@ class InputRate(AbstractActuator):
 
     def grid(self, seen: Seen) -> Grid:
         lags = np.unique(np.maximum(np.array([0.1, 0.5, 2.0]) / seen.band, seen.sample_period))
-        leads = np.array([-4.0, -1.0, -0.5, 0.5, 1.0, 4.0])  # over the lag
+        leads = np.array([-2.0, -1.0, -0.5, 0.5, 1.0, 4.0])  # over the lag
         shares, lags = np.meshgrid(leads, lags, indexing="ij")
         return np.stack([shares * lags, lags], axis=-1).reshape(-1, 2)
 
     def along(self, time: Any, u: Any, shape: Any) -> Any:
-        lag = jnp.maximum(shape[1], _SHORTEST * (time[1] - time[0]))
+        lag = _smoothing(*shape, time[1] - time[0], jnp)
         return u + shape[0] / lag * (u - ActuatorLag().along(time, u, [lag]))
 
     def memory(self, period: float, shape: Any) -> int:
         return 1
 
     def step(self, memory: Any, u: Any, period: Any, shape: Any) -> tuple[Any, Any]:
-        lag = jnp.maximum(shape[1], _SHORTEST * period)
+        lag = _smoothing(*shape, period, jnp)
         memory, late = ActuatorLag().step(memory, u, period, [lag])
         return memory, u + shape[0] / lag * (u - late)
 
     def sampled(
         self, time: Float[np.ndarray, " S"], u: Float[np.ndarray, " S"], shapes: Grid
     ) -> Float[np.ndarray, "grid S"]:
-        lags = np.maximum(shapes[:, 1:], _SHORTEST * (time[1] - time[0]))
+        lags = _smoothing(*np.split(shapes, 2, axis=1), time[1] - time[0], np)
         return u + shapes[:, :1] / lags * (u - ActuatorLag().sampled(time, u, lags))
+
+
+def _smoothing(lead: Any, lag: Any, period: Any, xp: Any) -> Any:
+    """The lag of a response to the rate: not so short that fast changes are inverted and grow."""
+    return xp.maximum(xp.maximum(lag, -0.5 * lead), _SHORTEST * period)
 
 
 class RateLimit(AbstractActuator):
