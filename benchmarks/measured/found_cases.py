@@ -21,6 +21,7 @@ from scipy.signal import savgol_filter
 
 import eoi_jax as eoi
 from benchmarks.measured.campaign_cases import Rig
+from benchmarks.measured.found_blind_cases import BLIND
 from benchmarks.measured.found_driven_cases import DRIVEN
 from benchmarks.measured.found_fresh_cases import FRESH
 from benchmarks.measured.found_late_cases import LATE
@@ -409,4 +410,5 @@ FOUND: Mapping[str, FoundSet] = {
     **LATEST,
     **MECHANICAL,
     **PROCESS,
+    **BLIND,
 }
