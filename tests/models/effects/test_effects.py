@@ -481,7 +481,7 @@ def test_lag_along_a_record_is_the_analytic_answer_to_a_step():
 
 def test_response_to_the_rate_of_a_ramp_is_its_slope_times_the_lead():
     """u + L/T (u - z) of u = c t behind a lag that has settled: c t + c L; by NumPy and by JAX."""
-    h, slope, lead, lag = 0.01, 3.0, -0.2, 0.05
+    h, slope, lead, lag = 0.01, 3.0, -0.08, 0.05
     middles = h * (np.arange(200) + 0.5)
     shapes = np.array([[lead, lag]])
     effect = effects.InputRate()
@@ -491,6 +491,19 @@ def test_response_to_the_rate_of_a_ramp_is_its_slope_times_the_lead():
     np.testing.assert_allclose(sampled[settled], expected[settled], rtol=1e-6)
     along = effect.along(jnp.asarray(middles), jnp.asarray(slope * middles), shapes[0])
     np.testing.assert_allclose(along, sampled, rtol=1e-12)
+
+
+@pytest.mark.parametrize("lag", [0.0, 0.01, 0.05])
+def test_fast_changes_behind_a_response_to_the_rate_do_not_grow(lag):
+    """A lead of -0.2 s: behind a step u is -u at most, and the response is that of Padé."""
+    effect, period = effects.InputRate(), 1e-3
+    time = period * (np.arange(400) + 0.5)
+    step = np.where(time < 0.1, 0.0, 1.0)
+    response = np.asarray(effect.along(jnp.asarray(time), jnp.asarray(step), [-0.2, lag]))
+    expected = 1.0 - 2.0 * np.exp(-(time - 0.1) / 0.1)
+    assert np.min(response) > -1.0
+    np.testing.assert_allclose(response[time > 0.1], expected[time > 0.1], atol=1e-4)
+    np.testing.assert_allclose(effect.sampled(time, step, np.array([[-0.2, lag]]))[0], response)
 
 
 @pytest.mark.parametrize("share", [0.4, 0.8, 1.0])
