@@ -44,8 +44,8 @@ def record(seed, samples=400):
 
 @pytest.mark.slow
 def test_hold_that_the_declared_model_does_not_show_is_chosen_again_with_its_law(monkeypatch):
-    pair = (record(1),), (record(2),)
-    variants = [tuple(with_hold(part, hold) for part in pair) for hold in ("linear", "zero")]
+    fit, judging = (record(1),), (record(2),)
+    variants = [(with_hold(fit, hold), with_hold(judging, hold)) for hold in ("linear", "zero")]
     tried: list[set[str]] = []
     fitted = Search.fitted
 

@@ -337,21 +337,21 @@ class InputRate(AbstractActuator):
         return np.stack([shares * lags, lags], axis=-1).reshape(-1, 2)
 
     def along(self, time: Any, u: Any, shape: Any) -> Any:
-        lag = _smoothing(*shape, time[1] - time[0], jnp)
+        lag = _smoothing(shape[0], shape[1], time[1] - time[0], jnp)
         return u + shape[0] / lag * (u - ActuatorLag().along(time, u, [lag]))
 
     def memory(self, period: float, shape: Any) -> int:
         return 1
 
     def step(self, memory: Any, u: Any, period: Any, shape: Any) -> tuple[Any, Any]:
-        lag = _smoothing(*shape, period, jnp)
+        lag = _smoothing(shape[0], shape[1], period, jnp)
         memory, late = ActuatorLag().step(memory, u, period, [lag])
         return memory, u + shape[0] / lag * (u - late)
 
     def sampled(
         self, time: Float[np.ndarray, " S"], u: Float[np.ndarray, " S"], shapes: Grid
     ) -> Float[np.ndarray, "grid S"]:
-        lags = _smoothing(*np.split(shapes, 2, axis=1), time[1] - time[0], np)
+        lags = _smoothing(shapes[:, :1], shapes[:, 1:], time[1] - time[0], np)
         return u + shapes[:, :1] / lags * (u - ActuatorLag().sampled(time, u, lags))
 
 
