@@ -21,7 +21,7 @@ from eoi_jax.discovery.confirm import beyond_noise
 from eoi_jax.discovery.free_run_search import FreeRunAnswer
 from eoi_jax.discovery.free_run_trials import Search, refined
 from eoi_jax.discovery.in_free_runs import answered, placed_effects
-from eoi_jax.discovery.judge import Judge, Judged
+from eoi_jax.discovery.judge import Judge, Judged, mean_error
 from eoi_jax.discovery.result import Added, Discovery
 from eoi_jax.discovery.rules import RULES
 from eoi_jax.estimation.lowpass import LowPass
@@ -91,7 +91,9 @@ def with_curves(
         return discovery
     named = named or search.base
     best = _with_best_curve(search, named, discovery.status.code == "complete")
-    if best is named:
+    # The answer may be of a fit that its own refinement does not come to.
+    answers = mean_error(judge.runs(discovery.plant)) if discovery.added else np.inf
+    if best is named or best.error > answers + _RULES.as_good:
         return discovery
     best = _as_law(search, best)
     answer = FreeRunAnswer.of(search, search.settled(search.leanest(best)), declared.plant)

@@ -45,6 +45,7 @@ from eoi_jax.models.augmented import Placed
 from eoi_jax.models.effects import Drift, SinusoidalDisturbance
 from eoi_jax.models.effects.effect import AbstractEffect
 from eoi_jax.models.plant import Plant
+from eoi_jax.simulation.error_growth import is_lost
 from eoi_jax.simulation.sensor_noise import is_exact
 
 _RULES = RULES.free_runs
@@ -99,6 +100,12 @@ class FreeRunAnswer:
         """The model with the effects that stayed, which is judged; the base where none did."""
         return self.fits[0]
 
+    @property
+    def is_lost(self) -> bool:
+        """Whether whole free runs say nothing of its best model either."""
+        error = self.best.runs[0].nrmse
+        return is_lost(error, np.ones_like(error))
+
     @cached_property
     def final(self) -> Judged:
         """Of the fits of that model the judged one, unless another is better on all records.
@@ -150,19 +157,37 @@ def search_free_runs(
     judge = Judge.of(variants[0][1], starts[0])
     if judge is None:
         return None
+    asked = starts, variants, library, level, further, rival, present
     searches = _begun(starts, variants, judge, present)
-    if searches and all(search.is_lost for search in searches):
-        searches = _begun(starts, variants, judge.without_whole_runs(), present)
     if not searches:
         return None
+    answer = _answer(searches, *asked)
+    if all(search.is_lost for search in searches) and (answer is None or answer.is_lost):
+        # Whole runs say nothing of any model: what they sum up is not what it lacks.
+        searches = _begun(starts, variants, judge.without_whole_runs(), present)
+        return _answer(searches, *asked) if searches else None
+    return answer
+
+
+def _answer(
+    searches: Sequence[Search],
+    starts: Sequence[Plant],
+    variants: Sequence[RecordPair],
+    effects: Sequence[AbstractEffect],
+    level: float,
+    further: Sequence[Model],
+    rival: Plant | None,
+    present: tuple[Placed, ...],
+) -> FreeRunAnswer | None:
+    """What searches on records made in several ways come to; None where the rival stays."""
     search = _most_likely(searches)
-    trials = _first_trials(search, starts, library, level, further, present)
+    trials = _first_trials(search, starts, effects, level, further, present)
     best, rounds = search.base, []
-    if (contest := _round(search, trials, (best, ()), library)) is not None:
+    if (contest := _round(search, trials, (best, ()), effects)) is not None:
         best, rounds = contest.chosen, [contest]
     if rounds and not present:
-        search, best, rounds = _continued(searches, search, (best, rounds), library, level)
-    search, best = _made_best(searches, search, search.narrowed(search.leanest(best), library))
+        search, best, rounds = _continued(searches, search, (best, rounds), effects, level)
+    search, best = _made_best(searches, search, search.narrowed(search.leanest(best), effects))
     while not (fits := search.settled(best)):
         best = rounds.pop().origin
     # Each on records made as it was found with.

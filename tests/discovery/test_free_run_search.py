@@ -417,6 +417,25 @@ def test_a_base_that_is_lost_over_whole_records_is_judged_in_windows():
     assert whole.base.runs[0].window is None
 
 
+def test_whole_records_of_an_integrator_judge_where_an_effect_predicts_them():
+    """A constant force sums up to ten times the spread; with it, nothing is left but noise."""
+    time = 0.1 * np.arange(400)
+
+    def record(frequency, seed):
+        motion = -np.sin(frequency * time) / frequency**2 - 0.01 * time**2
+        noise = 1e-3 * np.random.default_rng(seed).standard_normal(400)
+        return eoi.Record(time, np.sin(frequency * time), motion + noise, hold="linear")
+
+    plant = eoi.Plant(lambda t, x, u, p: p.b * u, {"b": 1.0}, 2)
+    pair = (record(2.0, 1),), (record(3.0, 2),)
+    answer = search_free_runs([plant], [pair], [effects.ConstantOffset()])
+    assert answer is not None
+    assert np.all(answer.base.runs[0].nrmse > 1.0)
+    assert answer.best.runs[0].window is None
+    assert [placed.effect.name for placed in answer.best.placed] == ["constant_offset"]
+    assert answer.best.refinement.parameters["constant_offset"] == pytest.approx(-0.02, rel=1e-2)
+
+
 @pytest.mark.slow
 def test_whole_records_of_a_plant_that_returns_show_what_is_missing_however_large_it_is():
     """The held-out record hardly moves: a level that is off exceeds its spread."""
