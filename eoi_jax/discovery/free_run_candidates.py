@@ -17,7 +17,6 @@ from eoi_jax.models.effects import (
     ConstantOffset,
     InputDelay,
     ParameterDependence,
-    SecondNode,
 )
 from eoi_jax.models.effects.effect import (
     INPUT_EFFECTS,
@@ -109,13 +108,14 @@ def _kind(effect: AbstractEffect) -> tuple[bool, bool]:
 
 
 def _of_higher_order(tested: Remaining) -> list[tuple[tuple[Placed, ...], dict[str, float]]]:
-    """A lag, a dead time and a second store: what makes the order of the plant higher.
+    """A lag and a dead time: what makes the order of the plant higher.
 
     They are tried first by hand, too. A base of lower order has bent its time constants and levels
-    to make up for them, and a score test along it says little of them.
+    to make up for them, and a score test along it says little of them. A second store is not among
+    them: one that never changes is a loss to the level that a record begins with.
     """
     chosen = []
-    for kind in (ActuatorLag, InputDelay, SecondNode):
+    for kind in (ActuatorLag, InputDelay):
         of_kind = [item for item in tested.ranking if isinstance(item.placed[0].effect, kind)]
         if of_kind:
             item = max(of_kind, key=lambda item: item.share)
