@@ -83,10 +83,23 @@ def _losses_with_offsets(
     sets = [(loss, offsets[output]) for output, loss in losses.items()]
     sets += [(*pair, springs[pair[0].output]) for pair in sets
              if pair[0].output in springs and runs.tries(springs[pair[0].output])]  # fmt: skip
-    return [
-        (augmented(plant, placed, {name: 0.0 for at in placed for name in at.names}), placed)
-        for placed in sets
-    ]
+    return [(augmented(plant, placed, _start(placed, runs)), placed) for placed in sets]
+
+
+def _start(placed: Sequence[Placed], runs: LinearisedRuns) -> dict[str, float]:
+    """Where a fit with a loss and an offset begins: a leak to the mean level, of a slow time.
+
+    From none at all a step may end on its bound, and stay there.
+    """
+    values = {name: 0.0 for at in placed for name in at.names}
+    loss, offset = placed[:2]
+    if isinstance(loss.effect, Leak):
+        longest = max(float(record.time[-1] - record.time[0]) for record in runs.records)
+        measured = [record.outputs[record.output_valid[:, loss.output], loss.output]
+                    for record in runs.records]  # fmt: skip
+        values[loss.names[0]] = _RULES.slow / longest
+        values[offset.names[0]] = values[loss.names[0]] * float(np.mean(np.concatenate(measured)))
+    return values
 
 
 def replaced_terms(declared: Plant, plant: Plant) -> tuple[str, ...]:

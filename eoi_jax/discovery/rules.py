@@ -309,6 +309,7 @@ class FreeRunRules:
     steps: int = 100
     fewest_steps: int = 20  # the same of long records
     stepped: int = 200_000  # samples times steps between the two
+    slow: float = 5.0  # time constants in the longest record, of a leak that a fit begins with
     same_cost: float = 0.06  # fall of the fit's cost, Σ log rms², that does not tell holds apart
 
 
