@@ -17,8 +17,9 @@ parameters are biased hides right effects from both. The search:
 4. The judge: the free-run errors on records that no fit has seen, whole and in windows. The best
    candidate stays where their mean logarithm falls enough, and the paired difference over blocks of
    these records exceeds its own standard error by enough; one that takes the place of an effect of
-   the round before, where it does so over the model before that. Then from 2, until none does, and
-   once more from what is left without the effects that the model can be without.
+   the round before, where it does so over the model before that. Then from 2, on records made in
+   the way that fits the model best now, until none does, and once more from what is left without
+   the effects that the model can be without.
 5. What can be left out again without a larger error is left out; of the ways in which the records
    may have been made that with the smallest errors of the answer is taken, and of its fits over
    long and over short runs that which is better on all records, whole and in windows, or in the
@@ -208,7 +209,7 @@ def _first_trials(
     """Models of the first round: from each base, and from nominal values.
 
     Where the declared model came to the same end from all starts, only those are refined from
-    nominal values, too, that did not converge.
+    nominal values, too, that did not converge or of which nothing was told.
     """
     best, explained = search.base, bool(present)
     if _is_exact(best):

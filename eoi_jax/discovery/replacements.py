@@ -94,11 +94,9 @@ def _start(placed: Sequence[Placed], runs: LinearisedRuns) -> dict[str, float]:
     values = {name: 0.0 for at in placed for name in at.names}
     loss, offset = placed[:2]
     if isinstance(loss.effect, Leak):
-        longest = max(float(record.time[-1] - record.time[0]) for record in runs.records)
-        measured = [record.outputs[record.output_valid[:, loss.output], loss.output]
-                    for record in runs.records]  # fmt: skip
-        values[loss.names[0]] = _RULES.slow / longest
-        values[offset.names[0]] = values[loss.names[0]] * float(np.mean(np.concatenate(measured)))
+        seen = runs.signal_statistics(loss)
+        values[loss.names[0]] = _RULES.slow / seen.duration
+        values[offset.names[0]] = values[loss.names[0]] * float(np.mean(seen.measured_y))
     return values
 
 

@@ -186,8 +186,8 @@ class AnswerRules:
         negligible: residual over y^(r), both rms, below which nothing is missing.
         confirmed: largest ratio of the errors after and before, in every free run, that confirms.
         noise: error of short free runs over the noise of a sensor, above which it is not noise. Of
-            true models it is at most 1.2 in `undeclared_effects`, 1.7 with a load that is not
-            measured, whose start is told by few samples.
+            right answers it is at most 1.2 in `undeclared_effects`, 1.7 with a load that is not
+            measured, whose start is told by few samples; of two of `other_rigs` it is 2.1 and 2.7.
         bounded_noise: the same where samples are so far apart that differences show the motion,
             and the noise is only known from above.
         as_good: largest ratio of the errors of a simpler and a wider law at which it is preferred.
