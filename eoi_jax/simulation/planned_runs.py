@@ -181,7 +181,8 @@ def _carried(run: Run, courses: Sequence[Course]) -> State | None:
     values = initial_states(run, *_joined(parts), begins, np.arange(len(courses)))
     y, z = [], []
     for course, begun in zip(courses, values[:, None], strict=True):
-        first, last = course.runs.starts[0], course.runs.starts[-1]
+        # A run that starts late may do so after the last one, which reaches back.
+        first, last = course.runs.starts[0], max(course.runs.starts)
         drives = course.drives([first], last - first, begun)
         x = states_along(run.plant, drives, states_of(run, begun), run.friction)
         steps = run.substeps * (np.asarray(course.runs.starts) - first)

@@ -152,3 +152,15 @@ def test_a_difference_from_an_output_goes_on_where_the_output_moves_fast(seed):
     model = augmented(blood, (tissue,), dict(zip(tissue.names, [0.8, 0.3], strict=True)))
     record = eoi.Record.from_period(0.1, dose, y, hold="zero")
     assert judged_runs(model, record, initial_samples=8, window=2.5).rmse[0] < 1.2 * noise
+
+
+def test_a_window_that_starts_late_may_do_so_after_the_last_one():
+    """Of three windows the second one begins at 60 for 49; the last, which reaches back, at 56."""
+    record = heated(106, 3)
+    outputs = record.outputs.copy()
+    outputs[46:60] = np.nan
+    with pytest.warns(eoi.RecordWarning):
+        gap = eoi.Record.from_period(PERIOD, record.inputs, outputs, hold="zero")
+    runs = judged_runs(PLATE, gap, initial_samples=15, window=49 * PERIOD)
+    assert len(runs.notes) == 1
+    assert runs.rmse[0] < 2.0 * NOISE
