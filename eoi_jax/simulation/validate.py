@@ -86,6 +86,7 @@ class Validation(Result):
         in_loop: whether a controller drove the runs by what they simulate.
         scored_at: which samples of each record are scored, where an output was measured; empty in
             a result of an earlier version.
+        substeps: steps of the simulation per sample; 0 in a result of an earlier version.
     """
 
     rmse: PerOutput
@@ -100,6 +101,7 @@ class Validation(Result):
     window: float | None = None
     in_loop: bool = field(default=False, metadata=WHERE_SET)
     scored_at: tuple[Bool[np.ndarray, " time"], ...] = field(default=(), metadata=WHERE_SET)
+    substeps: int = field(default=0, metadata=WHERE_SET)
 
 
 @runtime_checkable
@@ -293,9 +295,9 @@ def _judged(
     if initial_samples is None and window is None:
         heads = sufficient_starts(run, records, heads)
     pieces = _pieces(plant, records, heads, window)
-    prediction = _Prediction.of(run, records, pieces)
+    prediction, count = _Prediction.of(run, records, pieces), choice.count
     if substeps is None:
-        prediction = _halved(prediction, run, records, pieces)
+        prediction, count = _halved(prediction, run, records, pieces)
     notes = [choice.note, *_start_notes(records, pieces, heads, window), *prediction.notes]
     samples = prediction.samples(records)
     for name, counts in zip(plant.outputs, samples[2].T, strict=True):
@@ -315,6 +317,7 @@ def _judged(
         records,
         window,
         scored_at=prediction.scored,
+        substeps=count,
     )
 
 
@@ -516,30 +519,40 @@ class _Prediction:
 
 def _halved(
     prediction: _Prediction, run: Run, records: Sequence[Record], pieces: Sequence[_Piece]
-) -> _Prediction:
-    """The runs with the longest steps that half as long ones, from the same states, agree with.
+) -> tuple[_Prediction, int]:
+    """The runs with the longest steps that half as long ones agree with, and their number a sample.
 
-    Runs that diverge, in far shorter steps from the same states as well, stay as they are: to
-    estimate their states anew for each length of a step would take longest where it helps least.
+    First all from the same states, which are then estimated anew with these steps: for each length
+    of a step that would take longest. Runs that diverge, in far shorter steps from the same states
+    as well, stay as they are.
     """
-    predictions, limit = {run.substeps: prediction}, finest_steps(records)
+    limit = finest_steps(records)
 
-    def with_steps(count: int) -> _Prediction:
-        if count not in predictions:
-            predictions[count] = _Prediction.of(replace(run, substeps=count), records, pieces)
-        return predictions[count]
+    def settled(first: _Prediction, count: int) -> tuple[int, bool]:
+        predictions = {count: first}
 
-    def finer(coarse: _Prediction, count: int) -> _Prediction:
-        return _Prediction.of(replace(run, substeps=count), records, pieces, coarse.starts)
+        def with_steps(count: int) -> _Prediction:
+            if count not in predictions:
+                finer = replace(run, substeps=count)
+                predictions[count] = _Prediction.of(finer, records, pieces, first.starts)
+            return predictions[count]
 
-    def change(count: int) -> StepChange:
-        coarse = with_steps(count)
-        return coarse.change_to(finer(coarse, 2 * count), records)
+        def change(count: int) -> StepChange:
+            return with_steps(count).change_to(with_steps(2 * count), records)
 
-    shortest = min(2 ** (RULES.halvings + 1) * run.substeps, limit)
-    if prediction.diverges(records) and finer(prediction, shortest).diverges(records):
-        return prediction
-    return with_steps(settled_steps(run.substeps, limit, change)[0])
+        shortest = min(2 ** (RULES.halvings + 1) * count, limit)
+        if first.diverges(records) and with_steps(shortest).diverges(records):
+            return count, False
+        return settled_steps(count, limit, change)
+
+    count, are_enough = settled(prediction, run.substeps)
+    while count != run.substeps:
+        run = replace(run, substeps=count)
+        prediction = _Prediction.of(run, records, pieces)
+        if not are_enough:
+            break
+        count, are_enough = settled(prediction, count)
+    return prediction, count
 
 
 def _course(run: Run, piece: _Piece) -> Course:
