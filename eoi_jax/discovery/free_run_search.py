@@ -16,7 +16,8 @@ parameters are biased hides right effects from both. The search:
    whose parameter runs off becomes the law in which it ends.
 4. The judge: the free-run errors on records that no fit has seen, whole and in windows. The best
    candidate stays where their mean logarithm falls enough, and the paired difference over blocks of
-   these records exceeds its own standard error by enough; one that takes the place of an effect of
+   these records exceeds its own standard error by enough, and does so on the records of the fit; or
+   where both together show it that do not alone; one that takes the place of an effect of
    the round before, where it does so over the model before that. Then from 2, on records made in
    the way that fits the model best now, until none does, and once more from what is left without
    the effects that the model can be without.
@@ -38,7 +39,7 @@ from eoi_jax.data.holds import SETTINGS
 from eoi_jax.data.record import Record
 from eoi_jax.discovery.free_run_candidates import Model, candidates
 from eoi_jax.discovery.free_run_trials import Search, best_of, count_of, over_both
-from eoi_jax.discovery.judge import Judge, Judged, errors_of_each
+from eoi_jax.discovery.judge import Judge, Judged, errors_of_each, products_in
 from eoi_jax.discovery.probability import Contest
 from eoi_jax.discovery.replacements import replacements
 from eoi_jax.discovery.rules import RULES
@@ -275,11 +276,12 @@ def _round(
     accepted = [trial for trial in trials if search.accepts(trial, best, rounds)]
     if not accepted:
         return None
-    # One that the records of the fit deny is taken where nothing else is: as a lead.
-    accepted = [trial for trial in accepted if not search.is_denied(trial, best)] or accepted
-    chosen = search.judge.plainest_of_all(trials, search.answers(accepted) or accepted)
+    # A plainer model as good need not be better by more than chance on records that judge.
+    shown = [trial for trial in trials if search.is_shown_by_fit(trial, best)]
+    chosen = search.judge.plainest_of_all(shown, search.answers(accepted) or accepted)
     plain = search.narrowed(chosen, effects, ended=True)
-    return Contest(best, plain, (*trials, *([plain] if plain is not chosen else [])))
+    rivals = [trial for trial in shown if products_in(trial) <= products_in(plain)]
+    return Contest(best, plain, (*rivals, *([plain] if plain is not chosen else [])))
 
 
 def _is_exact(model: Judged) -> bool:

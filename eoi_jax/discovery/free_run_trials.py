@@ -6,26 +6,33 @@ comes in that which fits best; what the records do not tell the size of goes.
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
 from eoi_jax.data.record import Record
 from eoi_jax.discovery.additions import has_size, size_is_known
 from eoi_jax.discovery.free_run_candidates import has_dependence
-from eoi_jax.discovery.judge import Judge, Judged, mean_error, only_otherwise
+from eoi_jax.discovery.judge import (
+    Judge,
+    Judged,
+    deviations_of,
+    jointly_preferred,
+    mean_error,
+)
 from eoi_jax.discovery.parsimony import limit_of, plainer
 from eoi_jax.discovery.probability import Contest
 from eoi_jax.discovery.refit import not_simulated
 from eoi_jax.discovery.replacements import fixed_shapes, replaced_terms, turned_terms
 from eoi_jax.discovery.rules import RULES
 from eoi_jax.models.augmented import Placed, augmented, place
-from eoi_jax.models.effects import PRODUCTS
 from eoi_jax.models.effects.effect import AbstractEffect
 from eoi_jax.models.plant import Plant
 from eoi_jax.refinement.refine import refine_once
 from eoi_jax.refinement.result import Refinement
 from eoi_jax.simulation.error_growth import is_lost, returns
 from eoi_jax.simulation.step_size import choose_steps
+from eoi_jax.simulation.validate import FreeRuns
 
 _RULES = RULES.free_runs
 
@@ -95,22 +102,41 @@ class Search:
         return not judge.prefers(judge.runs(start), judge.runs(base.refinement.plant))
 
     def accepts(self, trial: Judged, best: Judged, rounds: Sequence[Contest]) -> bool:
-        """Whether a model is better than the best one by more than chance, or takes its place."""
-        if self.judge.prefers(trial.runs, best.runs):
-            return True
-        return bool(rounds) and self.judge.replaces(trial, best, rounds[-1].origin)
+        """Whether a model is better than the best one by more than chance, or takes its place.
 
-    def is_denied(self, trial: Judged, best: Judged) -> bool:
-        """Whether a model has a further product, and the records of the fit do not confirm it.
-
-        They could, and it is hardly better there: it was chosen of many, and names no cause.
+        The records of the fit must show that too: held-out ones are often few, and of many models
+        that are tried one may describe these by chance. What both show together is enough.
         """
-        further = (item.effect for item in trial.placed if item not in best.placed)
-        if not any(isinstance(effect, PRODUCTS) for effect in further):
-            return False
-        judge = Judge.of(self.searched, self.base.refinement.plant)
-        plants = trial.refinement.plant, best.refinement.plant
-        return judge is not None and only_otherwise(judge, *plants)
+        held_out = trial.runs, best.runs
+        if self.judge.prefers(*held_out):
+            return self.is_shown_by_fit(trial, best)
+        if rounds and self.judge.replaces(trial, best, rounds[-1].origin):
+            return self.is_shown_by_fit(trial, rounds[-1].origin)
+        fit = self._runs_of_fit(trial, best)
+        return fit is not None and jointly_preferred([held_out, fit])
+
+    def is_shown_by_fit(self, trial: Judged, best: Judged) -> bool:
+        """Whether the records of the fit show that a model is better, in long or in short runs."""
+        runs = self._runs_of_fit(trial, best)
+        return runs is None or max(deviations_of(*runs)) > RULES.judge.min_deviations
+
+    def _runs_of_fit(self, trial: Judged, best: Judged) -> tuple[FreeRuns, FreeRuns] | None:
+        """Free runs of two models on the records of the fit; None where these are too short."""
+        if self._judge_of_fit is None:
+            return None
+        for model in (trial, best):
+            if id(model) not in self._fit_runs:
+                runs = self._judge_of_fit.runs(model.refinement.plant)
+                self._fit_runs[id(model)] = model, runs
+        return self._fit_runs[id(trial)][1], self._fit_runs[id(best)][1]
+
+    @cached_property
+    def _judge_of_fit(self) -> Judge | None:
+        return Judge.of(self.searched, self.base.refinement.plant)
+
+    @cached_property
+    def _fit_runs(self) -> dict[int, tuple[Judged, FreeRuns]]:
+        return {}
 
     def answers(self, models: Sequence[Judged]) -> list[Judged]:
         """Models whose errors are lower than those of the base by as much as makes an answer."""
@@ -291,18 +317,33 @@ class Search:
         return trial if self.judge.needs(trial, fit) else fit
 
     def leanest(self, best: Judged) -> Judged:
-        """The model without the effects that it can be without, largest ones first."""
+        """The model without the effects that it can be without, largest ones first.
+
+        What is left must be shown by the records of the fit.
+        """
         further = self.further(best)
         if len(further) < 2:
             return best
         leaner = []
         for effect in further:
             fit = self._opened([item for item in further if item is not effect], best)
-            if fit is not None and not self.judge.needs(best, fit):
+            if fit is None or self._needs(best, fit):
+                continue
+            if self.is_shown_by_fit(fit, self.base):
                 leaner.append(fit)
         if not leaner:
             return best
         return self.leanest(min(leaner, key=lambda fit: (fit.size, fit.error)))
+
+    def _needs(self, model: Judged, leaner: Judged) -> bool:
+        """Whether a model is better than a leaner one, held out or on all records in the mean."""
+        if self.judge.needs(model, leaner):
+            return True
+        fit = self._runs_of_fit(model, leaner)
+        if fit is None:
+            return False
+        fall = leaner.error - model.error + mean_error(fit[1]) - mean_error(fit[0])
+        return fall >= 2.0 * RULES.judge.min_fall
 
     def refitted(self, model: Judged) -> Judged | None:
         """A model of records made in another way, refined on these over runs as long."""

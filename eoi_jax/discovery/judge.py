@@ -16,6 +16,7 @@ from eoi_jax.data.record import Record
 from eoi_jax.data.windows import steps_between_samples
 from eoi_jax.discovery.rules import RULES
 from eoi_jax.models.augmented import Placed
+from eoi_jax.models.effects import PRODUCTS
 from eoi_jax.models.plant import Plant
 from eoi_jax.refinement.result import Refinement
 from eoi_jax.simulation.error_growth import window_head
@@ -123,18 +124,16 @@ class Judge:
         return replace(self, longest=2.0 * self.window, whole_head=self.head)
 
     def runs(self, plant: Plant) -> FreeRuns:
-        """Free runs of a model: long ones, and short ones."""
-        return (
-            judged_runs(plant, self.records, self.whole_head, self.longest),
-            judged_runs(plant, self.records, self.head, self.window),
-        )
+        """Free runs of a model: long ones, and short ones in as many steps."""
+        long_runs = judged_runs(plant, self.records, self.whole_head, self.longest)
+        steps = long_runs.substeps
+        return long_runs, judged_runs(plant, self.records, self.head, self.window, steps)
 
     def prefers(self, trial: FreeRuns, best: FreeRuns) -> bool:
         """Whether the free runs of a model are better than another's by more than chance."""
         if mean_error(best) - mean_error(trial) < _RULES.min_fall:
             return False
-        pairs = zip(best, trial, strict=True)
-        deviations = [_deviations(rival, trial) for rival, trial in pairs]
+        deviations = deviations_of(trial, best)
         return bool(max(deviations) > _RULES.min_deviations > -min(deviations))
 
     def averages_better(self, trial: FreeRuns, best: FreeRuns) -> bool:
@@ -144,8 +143,7 @@ class Judge:
         """
         if mean_error(best) - mean_error(trial) < _RULES.min_fall:
             return False
-        pairs = zip(best, trial, strict=True)
-        return bool(min(_deviations(*pair) for pair in pairs) > -_RULES.min_deviations)
+        return bool(min(deviations_of(trial, best)) > -_RULES.min_deviations)
 
     def replaces(self, trial: Judged, best: Judged, origin: Judged) -> bool:
         """Whether a model takes the place of one that was chosen before it.
@@ -176,7 +174,8 @@ class Judge:
 
         Of as many effects that with the fewest parameters: an end stop imitates an offset. A rare
         effect must be better by as much as decides, times its rarity, than one that may do the
-        same; a law that contains a simpler one by as much for each of its further parameters.
+        same; a law that contains a simpler one by as much for each of its further parameters. A
+        product, which names no cause, must predict better than laws by more than chance.
         """
 
         def weighed(trial: Judged) -> float:
@@ -184,7 +183,11 @@ class Judge:
 
         lowest = min(weighed(trial) for trial in trials)
         as_good = [trial for trial in trials if weighed(trial) < lowest + _RULES.min_fall]
-        return min(as_good, key=lambda trial: (len(trial.placed), trial.size, weighed(trial)))
+        plainest = min(as_good, key=lambda trial: (len(trial.placed), trial.size, weighed(trial)))
+        laws = [trial for trial in trials if products_in(trial) < products_in(plainest)]
+        if not laws or self.prefers(plainest.runs, min(laws, key=weighed).runs):
+            return plainest
+        return self.plainest(laws)
 
     def plainest_of_all(self, trials: Sequence[Judged], accepted: Sequence[Judged]) -> Judged:
         """The plainest of the accepted models, or one with fewer parameters that is as good.
@@ -204,6 +207,11 @@ class Judge:
 def _further_parameters(placed: Placed) -> int:
     """Parameters of a law beyond the one of a simpler law that it contains; 0 without such."""
     return len(placed.names) - 1 if placed.effect.contains else 0
+
+
+def products_in(model: Judged) -> int:
+    """How many of its effects are products of signals."""
+    return sum(isinstance(at.effect, PRODUCTS) for at in model.placed)
 
 
 def _samples(records: Sequence[Record], step: float) -> tuple[int, int]:
@@ -366,6 +374,30 @@ def _log_fall(rival: Validation, trial: Validation) -> tuple[float, Float[np.nda
     usual = np.maximum(np.mean(new[1][np.any(new[1] > 0, axis=1)], axis=0), tiny)
     parts = 0.5 * (old[0] / squares[0] - new[0] / squares[1]) / usual
     return float(np.mean(falls)), np.mean(parts, axis=1)
+
+
+def deviations_of(trial: FreeRuns, rival: FreeRuns) -> list[float]:
+    """Fall of the error of long and short runs below a rival's, in its standard errors."""
+    return [_deviations(*pair) for pair in zip(rival, trial, strict=True)]
+
+
+def jointly_preferred(pairs: Sequence[tuple[FreeRuns, FreeRuns]]) -> bool:
+    """Whether free runs of a model are better than another's by more than chance on all records.
+
+    On each kind of records the mean error falls by what decides, and in no length of runs it rises
+    by as much; together their deviations are those of chance hardly ever (Stouffer's sum).
+
+    Args:
+        pairs: free runs of the model and of the other one, on each kind of records.
+    """
+    if any(mean_error(rival) - mean_error(trial) < _RULES.min_fall for trial, rival in pairs):
+        return False
+    falls = [np.subtract(errors_of_each(rival), errors_of_each(trial)) for trial, rival in pairs]
+    deviations = [deviations_of(*pair) for pair in pairs]
+    if np.min(falls) < -_RULES.min_fall or np.min(deviations) < -_RULES.min_deviations:
+        return False
+    joint = sum(map(max, deviations)) / np.sqrt(len(deviations))
+    return bool(joint > _RULES.min_joint_deviations)
 
 
 def _deviations(rival: Validation | None, trial: Validation | None) -> float:

@@ -256,6 +256,9 @@ class JudgeRules:
     # Set with the sets of `benchmarks/measured/campaign_cases.py` in view; it was not varied.
     min_fall: float = 0.03
     min_deviations: float = 2.0  # of the paired difference over blocks, in its standard errors
+    # The same of the records of the fit and of those that judge, as the sum of two standard normal
+    # variables over √2. Both are set with the sets of `found_mixed_cases.py` in view.
+    min_joint_deviations: float = 2.5
     same_error: float = 0.01  # difference of mean errors that counts as none
     noise_known: float = 0.03  # error of the square of the noise that samples show, over it
     blocks: int = 10  # of each record, whose errors are compared in pairs

@@ -9,8 +9,9 @@ from scipy.signal import lfilter
 import eoi_jax as eoi
 from eoi_jax import effects
 from eoi_jax.discovery import free_run_candidates, free_run_search, free_run_trials
+from eoi_jax.discovery import judge as judge_module
 from eoi_jax.discovery.free_run_trials import Search
-from eoi_jax.discovery.judge import Judge, Judged
+from eoi_jax.discovery.judge import Judge, Judged, jointly_preferred
 from eoi_jax.models.augmented import augmented, place
 from eoi_jax.refinement.estimate import unanswered
 from eoi_jax.refinement.refine import refine_once
@@ -108,24 +109,79 @@ def test_short_records_are_fitted_to_the_end_of_a_valley(monkeypatch, samples, s
     assert asked == [steps]
 
 
-def test_a_product_that_the_records_of_the_fit_deny_gives_way_to_a_law(monkeypatch):
+def biased(offset, seed):
+    """As `record`, with another offset than 0.2."""
+    made = record(seed)
+    return made.with_outputs(made.outputs + (offset - 0.2) / 0.5, "biased")
+
+
+def judged(plant, judge):
+    """A model that is fitted as it stands."""
+    fit = refine_once(plant, judge.records, None, max_steps=1)
+    return Judged(replace(fit, plant=plant), (), judge.runs(plant))
+
+
+@pytest.mark.parametrize(("level", "stays"), [(0.2, False), (0.4, True)])
+def test_what_only_held_out_records_show_does_not_stay(level, stays):
+    """The held-out record has an offset of 0.4; those of the fit have it, or are without it."""
+    offset = place(PLANT, effects.ConstantOffset(), 0)
+    judge = Judge.of((biased(0.4, 2),), PLANT)
+    assert judge is not None
+    low, high = (
+        judged(augmented(PLANT, (offset,), {offset.names[0]: value}), judge) for value in (0.2, 0.4)
+    )
+    search = Search((biased(level, 1),), (biased(level, 1),), judge, (low,))
+    assert judge.prefers(high.runs, low.runs)
+    assert search.is_shown_by_fit(high, low) is stays
+    assert search.accepts(high, low, []) is stays
+    high = replace(high, placed=(offset,))
+    contest = free_run_search._round(search, [high], (low, []), [])
+    assert (contest is not None) is stays
+
+
+def test_a_plainer_model_that_the_records_of_the_fit_deny_does_not_come_instead(monkeypatch):
     judge = Judge.of((record(2),), PLANT)
     assert judge is not None
     search = Search.begun([PLANT], (record(1),), judge)
     assert search is not None
     base = search.base
-    sites = [place(PLANT, effect, 0) for effect in (effects.Product("y", "y"), effects.Leak())]
-    trials = [replace(base, placed=(site,)) for site in sites]
-    monkeypatch.setattr(Search, "accepts", lambda *_: True)
-    monkeypatch.setattr(Search, "answers", lambda *_: [])
+    laws = effects.QuadraticDrag(), effects.ConstantOffset(), effects.Leak()
+    drag, offset, leak = (place(PLANT, law, 0) for law in laws)
+    wide, plain = replace(base, placed=(drag, offset)), replace(base, placed=(leak,))
+    monkeypatch.setattr(Search, "accepts", lambda _, trial, *__: trial is wide)
     monkeypatch.setattr(Search, "narrowed", lambda _, chosen, *__, **___: chosen)
-    for denies, name in ((True, "leak"), (False, "product")):
-        monkeypatch.setattr(free_run_trials, "only_otherwise", lambda *_, denies=denies: denies)
-        monkeypatch.setattr(Judge, "plainest_of_all", lambda _, trials, accepted: accepted[0])
-        contest = free_run_search._round(search, trials, (base, ()), [])
+    for denied, chosen in ((plain, wide), (None, plain)):
+        monkeypatch.setattr(
+            Search, "is_shown_by_fit", lambda _, trial, __, denied=denied: trial is not denied
+        )
+        contest = free_run_search._round(search, [wide, plain], (base, ()), [])
         assert contest is not None
-        assert contest.chosen.placed[0].effect.name == name
-    monkeypatch.setattr(free_run_trials, "only_otherwise", lambda *_: True)
-    alone = free_run_search._round(search, trials[:1], (base, ()), [])
-    assert alone is not None
-    assert alone.chosen.placed[0].effect.name == "product"
+        assert contest.chosen is chosen
+
+
+def with_steps_of(errors, runs):
+    """Free runs whose errors are others, block by block."""
+    made, (measured,) = runs[0], runs[0].records
+    predicted = measured.with_outputs(measured.outputs - errors[:, None], "made")
+    rmse = np.sqrt(np.mean(errors[made.scored_at[0]] ** 2, keepdims=True))
+    whole = replace(
+        made, predictions=(predicted,), rmse=rmse, nrmse=rmse / np.std(measured.outputs)
+    )
+    return whole, None
+
+
+def test_records_of_both_kinds_show_together_what_neither_shows_alone():
+    judge = Judge.of((record(2),), PLANT)
+    assert judge is not None
+    made = judge.runs(PLANT)
+    old = np.ones(200)
+    uneven = np.where(np.arange(200) // 20 % 3 == 0, 0.1, 1.05)
+    worse = np.where(np.arange(200) // 20 % 3 == 0, 1.6, 0.95)
+    rival = with_steps_of(old, made)
+    trial, other = with_steps_of(uneven, made), with_steps_of(worse, made)
+    deviation = judge_module.deviations_of(trial, rival)[0]
+    assert 2.5 / np.sqrt(2.0) < deviation < 2.5
+    assert jointly_preferred([(trial, rival), (trial, rival)])
+    assert not jointly_preferred([(trial, rival)])
+    assert not jointly_preferred([(trial, rival), (rival, rival)])  # no lower error
+    assert not jointly_preferred([(trial, rival), (other, rival)])  # a larger one

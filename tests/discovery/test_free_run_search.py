@@ -467,9 +467,16 @@ def test_whole_records_of_a_plant_that_returns_show_what_is_missing_however_larg
         ({"constant_offset": -1.32, "product": -1.42}, "product"),
     ],
 )
-def test_of_laws_that_are_as_good_the_plainest_is_chosen(rivals, chosen):
+def test_of_laws_that_are_as_good_the_plainest_is_chosen(monkeypatch, rivals, chosen):
     judge, trials = judged_with(rivals)
+    monkeypatch.setattr(Judge, "prefers", lambda *_: True)
     assert judge.plainest(list(trials.values())).placed[0].effect.name == chosen
+
+
+def test_a_product_that_is_better_by_chance_alone_gives_way_to_a_law(monkeypatch):
+    judge, trials = judged_with({"constant_offset": -1.32, "end_stop": -1.30, "product": -1.60})
+    monkeypatch.setattr(Judge, "prefers", lambda *_: False)
+    assert judge.plainest(list(trials.values())).placed[0].effect.name == "constant_offset"
 
 
 def judged_with(errors):
@@ -514,6 +521,7 @@ def test_a_model_takes_the_place_of_one_that_came_from_the_same_origin(
     trial = replace(trial, placed=tuple(at for name in placed for at in models[name].placed))
     monkeypatch.setattr(Judge, "prefers", lambda _, __, rival: rival is base.runs and significant)
     assert judge.replaces(trial, best, base) is replaces
+    monkeypatch.setattr(Search, "_judge_of_fit", None)  # fits are all the same here
     search = Search(judge.records, judge.records, judge, (base,))
     assert search.accepts(trial, best, [Contest(base, best, ())]) is replaces
     assert search.accepts(trial, best, []) is False
@@ -542,6 +550,7 @@ def test_the_search_goes_on_from_what_is_left_without_stand_ins(monkeypatch):
     monkeypatch.setattr(Search, "narrowed", lambda _, model, *__, **___: model)
     monkeypatch.setattr(Search, "leanest", lambda _, best: stop if best is wide else best)
     monkeypatch.setattr(Search, "settled", lambda _, best: [best])
+    monkeypatch.setattr(Search, "_judge_of_fit", None)  # fits are all the same here
     monkeypatch.setattr(
         Judge, "prefers", lambda _, trial, best: mean_error(trial) < mean_error(best)
     )
@@ -581,6 +590,7 @@ def test_an_effect_with_which_refinement_tells_no_parameter_any_more_goes(monkey
     monkeypatch.setattr(Search, "further_forms", lambda *_: [])
     monkeypatch.setattr(Search, "narrowed", lambda _, model, *__, **___: model)
     monkeypatch.setattr(Search, "leanest", lambda _, best: best)
+    monkeypatch.setattr(Search, "_judge_of_fit", None)  # fits are all the same here
     monkeypatch.setattr(
         Judge, "prefers", lambda _, trial, best: mean_error(trial) < mean_error(best)
     )
