@@ -24,9 +24,11 @@ from benchmarks.measured.campaign_cases import Rig
 from benchmarks.measured.found_blind_cases import BLIND
 from benchmarks.measured.found_driven_cases import DRIVEN
 from benchmarks.measured.found_fresh_cases import FRESH
+from benchmarks.measured.found_kit_cases import KITS
 from benchmarks.measured.found_late_cases import LATE
 from benchmarks.measured.found_latest_cases import LATEST
 from benchmarks.measured.found_mechanical_cases import MECHANICAL
+from benchmarks.measured.found_mixed_cases import MIXED
 from benchmarks.measured.found_newest_cases import NEWEST
 from benchmarks.measured.found_process_cases import PROCESS
 from benchmarks.measured.found_sets import FoundSet, quarters, records, table
@@ -411,4 +413,6 @@ FOUND: Mapping[str, FoundSet] = {
     **MECHANICAL,
     **PROCESS,
     **BLIND,
+    **MIXED,
+    **KITS,
 }
