@@ -78,29 +78,29 @@ def with_curves(
     fitted = with_hold(records, judging[0].hold, skew if np.any(skew) else None)
     if judge is None:
         return discovery
-    named = None
+    search = Search.begun([declared.plant, declared.nominal], fitted, judge)
+    if search is None:
+        return discovery
+    named = search.base
     if discovery.added:
         placed = placed_effects(discovery)
-        named = refined(discovery.plant, placed, fitted, judge)
+        named = refined(discovery.plant, placed, fitted, search.judge)
         if named is None:
             return discovery
         if not (beyond_noise(named.runs[1], judging) or _crowded(placed)):
             return discovery
-    search = Search.begun([declared.plant, declared.nominal], fitted, judge)
-    if search is None:
-        return discovery
-    named = named or search.base
     best = _with_best_curve(search, named, discovery.status.code == "complete")
     # The answer may be of a fit that its own refinement does not come to.
     answers = mean_error(judge.runs(discovery.plant)) if discovery.added else np.inf
     if best is named or best.error > answers + _RULES.as_good:
         return discovery
     best = _as_law(search, best)
-    answer = FreeRunAnswer.of(search, search.settled(search.leanest(best)), declared.plant)
-    if not tells_its_curve(answer.final):
+    settled = search.settled(search.leanest(best))
+    if settled is None or not tells_its_curve(settled):
         return discovery
+    answer = FreeRunAnswer.of(search, settled, declared.plant)
     found = answered(discovery, answer, lowpass)
-    notes = dict.fromkeys((*found.notes, *_nearest_laws(answer.final)))
+    notes = dict.fromkeys((*found.notes, *_nearest_laws(answer.best)))
     return replace(found, ambiguous_with=(), advice="", notes=tuple(notes))
 
 
@@ -134,7 +134,7 @@ def _with_best_curve(search: Search, named: Judged, explained: bool) -> Judged:
         if (_crowded(named.placed) and near) or (better and left):
             best = _finest(search, best)
             better = _is_far_better(best, named) or _replaces_sum(search, best, named)
-        if better and search.judge.prefers(best.runs, origin.runs):
+        if better and search.accepts(best, origin, ()):
             return best
     return named
 

@@ -15,6 +15,7 @@ from eoi_jax.models.effects import (
     PRODUCTS,
     ActuatorLag,
     ConstantOffset,
+    CoulombFriction,
     InputDelay,
     ParameterDependence,
 )
@@ -26,6 +27,7 @@ from eoi_jax.models.effects.effect import (
     AbstractTerm,
 )
 from eoi_jax.models.placements import placements
+from eoi_jax.models.plant import Plant
 from eoi_jax.refinement.remaining import Remaining, remaining
 from eoi_jax.refinement.score_test import Candidate, is_tested
 
@@ -61,7 +63,7 @@ def candidates(
                  for placed in placements(plant, offsets)]  # fmt: skip
     certain = [((placed,), {}) for placed in placements(plant, untested)]
     if not best.placed:
-        certain += _of_higher_order(tested)
+        certain += _tried_first(tested, plant)
     first: dict[Sites, Model] = {}
     for placed, values in [*certain, *sets]:
         if not _repeated(best.placed, placed):
@@ -107,16 +109,24 @@ def _kind(effect: AbstractEffect) -> tuple[bool, bool]:
     return False, not isinstance(effect, AbstractTerm) or effect.states > 0
 
 
-def _of_higher_order(tested: Remaining) -> list[tuple[tuple[Placed, ...], dict[str, float]]]:
-    """A lag and a dead time: what makes the order of the plant higher.
+def _tried_first(
+    tested: Remaining, plant: Plant
+) -> list[tuple[tuple[Placed, ...], dict[str, float]]]:
+    """A lag and a dead time, and dry friction of what moves: what is tried first by hand, too.
 
-    They are tried first by hand, too. A base of lower order has bent its time constants and levels
-    to make up for them, and a score test along it says little of them. A second store is not among
-    them: one that never changes is a loss to the level that a record begins with.
+    A base of lower order has bent its time constants and levels to make up for a lag, and a base
+    that never stops says little of what makes it stop: a score test along it says little of them. A
+    second store is not among them: one that never changes is a loss to the level that a record
+    begins with.
     """
     chosen = []
-    for kind in (ActuatorLag, InputDelay):
-        of_kind = [item for item in tested.ranking if isinstance(item.placed[0].effect, kind)]
+    for kind in (ActuatorLag, InputDelay, CoulombFriction):
+        of_kind = [
+            item
+            for item in tested.ranking
+            if type(item.placed[0].effect) is kind
+            and (kind is not CoulombFriction or plant.degrees[item.placed[0].channel] > 1)
+        ]
         if of_kind:
             item = max(of_kind, key=lambda item: item.share)
             chosen.append((item.placed, item.values))

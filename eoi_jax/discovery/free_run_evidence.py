@@ -7,12 +7,14 @@ import numpy as np
 from eoi_jax.data.record import Record
 from eoi_jax.discovery.additions import has_size
 from eoi_jax.discovery.free_run_search import FreeRunAnswer
-from eoi_jax.discovery.free_run_trials import best_of, over_both, portion, refined
+from eoi_jax.discovery.free_run_trials import portion, refined
 from eoi_jax.discovery.judge import (
     Judge,
     Judged,
+    deviations_of,
     error_ratio,
     least_error_ratio,
+    mean_error,
     only_otherwise,
     ratio_beyond_noise,
 )
@@ -50,23 +52,6 @@ def _ranges(records: Sequence[Record]) -> list[tuple[float, float]]:
     return list(zip(lows.tolist(), highs.tolist(), strict=True))
 
 
-def exchanged_ratio(answer: FreeRunAnswer) -> float:
-    """Ratio of the errors with and without the effects of an answer, when the parts change places.
-
-    Both models are refined on the records that judged, and judged on those of the fit, or on the
-    beginning of long ones: a few records that move slowly may prefer either by chance.
-    """
-    plant = answer.base.refinement.plant
-    judge = Judge.of(portion(answer.records, plant), plant)
-    if judge is None:
-        return np.inf
-    base, best = (
-        best_of(over_both(model.refinement.plant, model.placed, answer.judging, judge))
-        for model in (answer.base, answer.best)
-    )
-    return np.inf if base is None or best is None else float(np.exp(best.error - base.error))
-
-
 def long_run_ratio(answer: FreeRunAnswer) -> float:
     """Ratio of the errors of long runs with and without the effects, where short ones tell nothing.
 
@@ -92,6 +77,34 @@ def long_run_ratio(answer: FreeRunAnswer) -> float:
     return max(ratio_beyond_noise(best[0], base[0]), ratio_beyond_noise(fits[0], fits[1]))
 
 
+def shown_by_all(answer: FreeRunAnswer) -> bool:
+    """Whether the records that judge and those of the fit together confirm an answer.
+
+    Each show it by more than chance, and the mean of both falls is what confirms an effect.
+    """
+    best, base = answer.best, answer.base
+    if best.fit_runs is None or base.fit_runs is None:
+        return False
+    pairs = (best.runs, base.runs), (best.fit_runs, base.fit_runs)
+    if any(max(deviations_of(*pair)) < RULES.judge.min_deviations for pair in pairs):
+        return False
+    fall = base.error_of_all - best.error_of_all
+    return bool(best.error < base.error and fall > -np.log(RULES.answer.confirmed))
+
+
+def explains_most(answer: FreeRunAnswer) -> bool:
+    """Whether a model takes of the power of the errors what explains an injection.
+
+    On the records that judge, and on those of the fit.
+    """
+    best, base = answer.best, answer.base
+    pairs = [(best.runs, base.runs)]
+    if best.fit_runs is not None and base.fit_runs is not None:
+        pairs.append((best.fit_runs, base.fit_runs))
+    left = [np.exp(2.0 * (mean_error(new) - mean_error(old))) for new, old in pairs]
+    return bool(max(left) < 1.0 - RULES.answer.explained)
+
+
 def without_stand_ins(answer: FreeRunAnswer, declared: Plant) -> Judged:
     """The final model without effects of the explanation whose size it does not tell any more.
 
@@ -102,7 +115,7 @@ def without_stand_ins(answer: FreeRunAnswer, declared: Plant) -> Judged:
         answer: with effects beside those of its base.
         declared: without effects.
     """
-    model = answer.final
+    model = answer.best
     fit = model.refinement
     stay = tuple(at for at in model.placed if at not in answer.base.placed or has_size(at, fit))
     if len(stay) in (0, len(model.placed)):

@@ -14,32 +14,30 @@ parameters are biased hides right effects from both. The search:
    forms also the further ones, as long as they fit better, and of one of which the score test has
    several maxima (the wave number of a ripple) from each. Of a pair one may be enough; an effect
    whose parameter runs off becomes the law in which it ends.
-4. The judge: the free-run errors on records that no fit has seen, whole and in windows. The best
-   candidate stays where their mean logarithm falls enough, and the paired difference over blocks of
-   these records exceeds its own standard error by enough, and does so on the records of the fit; or
-   where both together show it that do not alone; one that takes the place of an effect of
-   the round before, where it does so over the model before that. Then from 2, on records made in
-   the way that fits the model best now, until none does, and once more from what is left without
-   the effects that the model can be without.
+4. The judge: the free-run errors on records that no fit has seen, whole and in windows. A
+   candidate is accepted where their mean logarithm falls enough, and the paired difference over
+   blocks of these records exceeds its own standard error by enough, and does so on the records of
+   the fit; or where both together show it that do not alone; one that takes the place of an effect
+   of the round before, where it does so over the model before that. Of these the best on both
+   stays. Then from 2, on records made in the way that fits the model best now, until none does, and
+   once more from what is left without the effects that the model can be without.
 5. What can be left out again without a larger error is left out; of the ways in which the records
-   may have been made that with the smallest errors of the answer is taken, and of its fits over
-   long and over short runs that which is better on all records, whole and in windows, or in the
-   mean and in neither worse by more than chance.
+   may have been made that which makes the answer most likely is taken, and of its fits over long
+   and over short runs that which is better on all records.
 
 Disturbances in time are not tried: they stand in for what the library lacks.
 """
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
 
 import numpy as np
 
 from eoi_jax.data.holds import SETTINGS
 from eoi_jax.data.record import Record
 from eoi_jax.discovery.free_run_candidates import Model, candidates
-from eoi_jax.discovery.free_run_trials import Search, best_of, count_of, over_both
-from eoi_jax.discovery.judge import Judge, Judged, errors_of_each, products_in
+from eoi_jax.discovery.free_run_trials import Search, count_of
+from eoi_jax.discovery.judge import Judge, Judged, products_in
 from eoi_jax.discovery.probability import Contest
 from eoi_jax.discovery.replacements import replacements
 from eoi_jax.discovery.rules import RULES
@@ -62,8 +60,7 @@ class FreeRunAnswer:
 
     Attributes:
         base: the declared model, refined.
-        fits: of the model with the effects that stayed, over long and over short runs, what
-            predicts best first; the base where no effect did.
+        best: the model with the effects that stayed; the base where no effect did.
         records: of the fit, in the variant that predicts best.
         judge: on the others.
         share: of the samples, in which effects were searched.
@@ -73,7 +70,7 @@ class FreeRunAnswer:
     """
 
     base: Judged
-    fits: tuple[Judged, ...]
+    best: Judged
     records: tuple[Record, ...]
     judge: Judge
     better_base: bool
@@ -82,14 +79,15 @@ class FreeRunAnswer:
 
     @classmethod
     def of(
-        cls, search: Search, fits: Sequence[Judged], start: Plant, rounds: Sequence[Contest] = ()
+        cls, search: Search, best: Judged, start: Plant, rounds: Sequence[Contest] = ()
     ) -> "FreeRunAnswer":
-        """What a search came to, with these fits of its model, from this declared model."""
-        base = search.base if search.searched is search.records else search.settled(search.base)[0]
-        fits = tuple(fits) if search.further(fits[0]) else (base,)
+        """What a search came to, from this declared model."""
+        base = search.base if search.searched is search.records else search.settled(search.base)
+        base = base or search.base
+        best = best if search.further(best) else base
         better = search.predicts_better(base, start)
         share = count_of(search.searched) / count_of(search.records)
-        judged = base, fits, search.records, search.judge
+        judged = base, best, search.records, search.judge
         return cls(*judged, better, share, tuple(rounds))
 
     @property
@@ -98,34 +96,10 @@ class FreeRunAnswer:
         return self.judge.records
 
     @property
-    def best(self) -> Judged:
-        """The model with the effects that stayed, which is judged; the base where none did."""
-        return self.fits[0]
-
-    @property
     def is_lost(self) -> bool:
         """Whether whole free runs say nothing of its best model either."""
         error = self.best.runs[0].nrmse
         return is_lost(error, np.ones_like(error))
-
-    @cached_property
-    def final(self) -> Judged:
-        """Of the fits of that model the judged one, unless another is better on all records.
-
-        Between fits of the same parameters the records of the fit tell as much as the few that
-        judge: it must predict them better together, whole and in windows, or in the mean, and in
-        neither worse by more than chance. None is taken that predicts these worse than the base.
-        """
-        judge = replace(self.judge, records=(*self.records, *self.judging))
-        final, runs = self.best, None
-        for fit in self.fits[1:]:
-            if fit.error < self.base.error:
-                runs = runs or judge.runs(final.refinement.plant)
-                trial = judge.runs(fit.refinement.plant)
-                pairs = zip(errors_of_each(trial), errors_of_each(runs), strict=True)
-                if all(new < old for new, old in pairs) or judge.averages_better(trial, runs):
-                    final, runs = fit, trial
-        return final
 
 
 def search_free_runs(
@@ -190,13 +164,13 @@ def _answer(
     if rounds and not present:
         search, best, rounds = _continued(searches, search, (best, rounds), effects, level)
     search, best = _made_best(searches, search, search.narrowed(search.leanest(best), effects))
-    while not (fits := search.settled(best)):
+    while (settled := search.settled(best)) is None:
         best = rounds.pop().origin
     # Each on records made as it was found with.
     first_judge = replace(search.judge, records=variants[0][1])
-    if rival is not None and first_judge.prefers(first_judge.runs(rival), fits[0].runs):
+    if rival is not None and first_judge.prefers(first_judge.runs(rival), settled.runs):
         return None
-    return FreeRunAnswer.of(search, fits, starts[0], rounds)
+    return FreeRunAnswer.of(search, settled, starts[0], rounds)
 
 
 def _first_trials(
@@ -339,9 +313,9 @@ def _made_better(searches: Sequence[Search], search: Search, best: Judged) -> tu
     for variant in searches:
         if variant is not search:
             trial = variant.refitted(best)
-            if trial is not None and _is_better_made([trial], best, variant):
+            if trial is not None and _is_better_made(trial, best, variant):
                 pairs.append((variant, trial))
-    return min(pairs, key=lambda pair: pair[1].error)
+    return min(pairs, key=lambda pair: pair[1].refinement.cost)
 
 
 def _made_best(searches: Sequence[Search], search: Search, best: Judged) -> tuple[Search, Judged]:
@@ -349,34 +323,18 @@ def _made_best(searches: Sequence[Search], search: Search, best: Judged) -> tupl
 
     The hold was chosen for the declared model: what that lacks can look like another hold.
     """
-    pairs = [(search, best)]
-    variants = [variant for variant in searches if variant is not search]
-    for variant in variants if search.further(best) else ():
-        model = best.refinement.plant, best.placed
-        trials = over_both(*model, variant.searched, variant.judge)
-        trial = best_of(trials)
-        if trial is not None and _is_better_made(trials, best, variant):
-            pairs.append((variant, variant.leanest(trial)))
-    return min(pairs, key=lambda pair: pair[1].error)
+    if not search.further(best):
+        return search, best
+    variant, trial = _made_better(searches, search, best)
+    return variant, trial if trial is best else variant.leanest(trial)
 
 
-def _is_better_made(trials: Sequence[Judged], best: Judged, variant: Search) -> bool:
-    """Whether one of the fits of a model on other records predicts or fits better."""
-    predicts = any(variant.judge.needs(trial, best) for trial in trials)
-    return predicts or _fits_better(trials, best, variant)
-
-
-def _fits_better(trials: Sequence[Judged], best: Judged, variant: Search) -> bool:
-    """Whether a model fits records made in another way better by more than chance, and predicts so.
+def _is_better_made(trial: Judged, best: Judged, variant: Search) -> bool:
+    """Whether a model fits records made in another way better by more than chance.
 
     Its parameters are the same ones, so that the likelihood of all samples decides: a hold that is
     wrong by half a sample may raise errors by half a hundredth, and make a time constant a third
-    too small.
+    too small. The records that judge are fewer; they must not tell against it.
     """
-    comparable = [trial for trial in trials if trial.refinement.window == best.refinement.window]
-    gains = [
-        count_of(variant.searched) * (best.refinement.cost - trial.refinement.cost)
-        for trial in comparable
-        if trial.error < best.error
-    ]
-    return max(gains, default=0.0) > SETTINGS.evidence
+    gain = count_of(variant.searched) * (best.refinement.cost - trial.refinement.cost)
+    return gain > SETTINGS.evidence and not variant.judge.needs(best, trial)

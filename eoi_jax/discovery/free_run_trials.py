@@ -5,8 +5,7 @@ comes in that which fits best; what the records do not tell the size of goes.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
-from functools import cached_property
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -32,7 +31,6 @@ from eoi_jax.refinement.refine import refine_once
 from eoi_jax.refinement.result import Refinement
 from eoi_jax.simulation.error_growth import is_lost, returns
 from eoi_jax.simulation.step_size import choose_steps
-from eoi_jax.simulation.validate import FreeRuns
 
 _RULES = RULES.free_runs
 
@@ -71,6 +69,7 @@ class Search:
         """With the best base of each length of runs; None without a fit."""
         bases: list[Judged] = []
         searched, agree = portion(records, starts[0]), len(starts) > 1
+        judge = replace(judge, of_fit=Judge.of(searched, starts[0]))
         for window in (judge.longest, judge.window):
             ends = [_fitted(start, present, searched, window, judge) for start in starts]
             fits = [fit for fit in ends if fit is not None]
@@ -112,31 +111,16 @@ class Search:
             return self.is_shown_by_fit(trial, best)
         if rounds and self.judge.replaces(trial, best, rounds[-1].origin):
             return self.is_shown_by_fit(trial, rounds[-1].origin)
-        fit = self._runs_of_fit(trial, best)
-        return fit is not None and jointly_preferred([held_out, fit])
+        if trial.fit_runs is None or best.fit_runs is None:
+            return False
+        return jointly_preferred([held_out, (trial.fit_runs, best.fit_runs)])
 
     def is_shown_by_fit(self, trial: Judged, best: Judged) -> bool:
         """Whether the records of the fit show that a model is better, in long or in short runs."""
-        runs = self._runs_of_fit(trial, best)
-        return runs is None or max(deviations_of(*runs)) > RULES.judge.min_deviations
-
-    def _runs_of_fit(self, trial: Judged, best: Judged) -> tuple[FreeRuns, FreeRuns] | None:
-        """Free runs of two models on the records of the fit; None where these are too short."""
-        if self._judge_of_fit is None:
-            return None
-        for model in (trial, best):
-            if id(model) not in self._fit_runs:
-                runs = self._judge_of_fit.runs(model.refinement.plant)
-                self._fit_runs[id(model)] = model, runs
-        return self._fit_runs[id(trial)][1], self._fit_runs[id(best)][1]
-
-    @cached_property
-    def _judge_of_fit(self) -> Judge | None:
-        return Judge.of(self.searched, self.base.refinement.plant)
-
-    @cached_property
-    def _fit_runs(self) -> dict[int, tuple[Judged, FreeRuns]]:
-        return {}
+        if trial.fit_runs is None or best.fit_runs is None:
+            return True
+        deviations = deviations_of(trial.fit_runs, best.fit_runs)
+        return max(deviations) > RULES.judge.min_deviations
 
     def answers(self, models: Sequence[Judged]) -> list[Judged]:
         """Models whose errors are lower than those of the base by as much as makes an answer."""
@@ -241,8 +225,15 @@ class Search:
         return fit
 
     def _of_unknown_size(self, model: Judged) -> list[Placed]:
-        """Effects of a model of which the records do not tell the size."""
-        return [item for item in self.further(model) if not has_size(item, model.refinement)]
+        """Effects of a model of which the records do not tell the size, or not the shape."""
+        fit = model.refinement
+        return [
+            item
+            for item in self.further(model)
+            if not has_size(item, fit)
+            or not item.effect.is_seen([fit.parameters[name] for name in item.names],
+                                       _reach(item, self.searched))
+        ]  # fmt: skip
 
     def further_forms(self, trials: Sequence[Judged]) -> list[Judged]:
         """The best model that has an effect of several forms, in the form that fits best.
@@ -339,28 +330,28 @@ class Search:
         """Whether a model is better than a leaner one, held out or on all records in the mean."""
         if self.judge.needs(model, leaner):
             return True
-        fit = self._runs_of_fit(model, leaner)
-        if fit is None:
-            return False
-        fall = leaner.error - model.error + mean_error(fit[1]) - mean_error(fit[0])
-        return fall >= 2.0 * RULES.judge.min_fall
+        further = max(model.size - leaner.size, 1)
+        return leaner.error_of_all - model.error_of_all >= RULES.judge.min_fall * further
 
     def refitted(self, model: Judged) -> Judged | None:
         """A model of records made in another way, refined on these over runs as long."""
         runs = self.searched, model.refinement.window, self.judge
         return _fitted(model.refinement.plant, model.placed, *runs)
 
-    def settled(self, best: Judged) -> list[Judged]:
-        """The model, and it refined over both lengths of runs; what predicts better first.
+    def settled(self, best: Judged) -> Judged | None:
+        """The model refined on all records, over the length of runs that predicts all of them best.
 
-        None where the fits then tell no parameter any more, as it did: the last effect goes.
+        As it was where that is hardly better, unless only a part of them was searched. None where
+        the fits then tell no parameter any more, as it did: the last effect goes.
         """
         fits = over_both(best.refinement.plant, best.placed, self.records, self.judge)
         ended = [fit for fit in fits if fit.refinement.status.ok]
-        fits = [fit for fit in ended if self._tells_parameters(fit)]
-        if ended and not fits and self._tells_parameters(best):
-            return []
-        return sorted([best, *(fits or ended)], key=lambda fit: fit.error)
+        told = [fit for fit in ended if self._tells_parameters(fit)]
+        if ended and not told and self._tells_parameters(best):
+            return None
+        other = min(told or ended, key=lambda fit: fit.error_of_all, default=best)
+        is_better = other.error_of_all < best.error_of_all - RULES.judge.min_fall
+        return other if is_better or self.searched is not self.records else best
 
 
 def refined(
@@ -407,7 +398,7 @@ def _fitted(
     refinement = refine_once(plant, records, window, max_steps=most)
     if not refinement.status.fits:
         return None
-    return Judged(refinement, placed, judge.runs(refinement.plant))
+    return judge.judged(refinement, placed)
 
 
 def portion(records: tuple[Record, ...], plant: Plant) -> tuple[Record, ...]:
@@ -435,6 +426,16 @@ def portion(records: tuple[Record, ...], plant: Plant) -> tuple[Record, ...]:
 def count_of(records: tuple[Record, ...]) -> int:
     """Number of samples."""
     return sum(len(record) for record in records)
+
+
+def _reach(placed: Placed, records: tuple[Record, ...]) -> float:
+    """Difference of the largest and smallest value of the output that an effect acts on."""
+    outputs = np.concatenate([np.where(record.output_valid, record.outputs, np.nan)
+                              for record in records])  # fmt: skip
+    signal = outputs[:, placed.output]
+    if placed.against is not None:
+        signal = signal - outputs[:, placed.against]
+    return float(np.nanmax(signal) - np.nanmin(signal))
 
 
 def _lost_shapes(model: Judged, placed: Sequence[Placed]) -> tuple[str, ...]:

@@ -22,9 +22,10 @@ from eoi_jax.discovery.diagnose import diagnose
 from eoi_jax.discovery.free_run_candidates import Model
 from eoi_jax.discovery.free_run_evidence import (
     contradicted_by_fit,
-    exchanged_ratio,
+    explains_most,
     long_run_ratio,
     lost_on_held_out,
+    shown_by_all,
     surpasses,
     without_stand_ins,
 )
@@ -323,7 +324,7 @@ def answered(discovery: Discovery, answer: FreeRunAnswer, lowpass: LowPass | Non
     It must lower the errors as much as what confirms an effect elsewhere (`confirm.py`): part of an
     effect that the library lacks can lower them a little, too. Where it lowers those of the
     held-out records less, but by more than chance, long runs alone count where short ones tell
-    nothing of it; or the mean over both parts, each predicted by the other. A product names no
+    nothing of it; or the mean over these and the records of the fit. A product names no
     cause, and is chosen of many: the records of the fit must confirm it, if they can. Where no
     model says anything of the held-out records, their errors confirm none. Else it is the lead, and
     the declared model is refined unless that raises them by more than chance.
@@ -336,16 +337,14 @@ def answered(discovery: Discovery, answer: FreeRunAnswer, lowpass: LowPass | Non
         ratio_of_long = long_run_ratio(answer)
         confirms = ratio_of_long < RULES.answer.confirmed
         notes = [FitNote(_LONG_RUNS.format(ratio_of_long))]
-    if best.placed and not confirms:
-        exchanged = exchanged_ratio(answer)
-        confirms = exchanged < 1.0 and np.sqrt(ratio * exchanged) < RULES.answer.confirmed
-        notes = [FitNote(_EXCHANGED.format(exchanged))]
+    if best.placed and not confirms and shown_by_all(answer):
+        confirms = True
+        notes = [FitNote(_ALL.format(float(np.exp(best.error_of_all - base.error_of_all))))]
     if any(isinstance(at.effect, PRODUCTS) for at in best.placed):
         confirms = confirms and not contradicted_by_fit(answer)
     lost = lost_on_held_out(answer)
-    if best.placed and confirms and not lost and not _imitates(discovery, best):
-        names, best = labels_of(best.placed), answer.final
-        ratio = float(np.exp(best.error - base.error))
+    if best.placed and confirms and not lost and not _imitates(discovery, answer):
+        names = labels_of(best.placed)
         left = beyond_noise(best.runs[1], answer.judging)
         code, text = ("partial", _PARTIAL) if left else ("complete", _COMPLETE)
         outcome = replace(discovery, status=Status(code, text.format(names, ratio)), lead=None)
@@ -452,10 +451,16 @@ def _standings_of(discovery: Discovery) -> dict[Placed, Standing]:
     }
 
 
-def _imitates(discovery: Discovery, best: Judged) -> bool:
-    """Whether a product of signals refuted an effect in the injection, and none is in the model."""
+def _imitates(discovery: Discovery, answer: FreeRunAnswer) -> bool:
+    """Whether a product of signals refuted an effect in the injection, and none is in the model.
+
+    What a product takes of the rest of one effect may be another one, where together they explain
+    the errors of free runs on all records.
+    """
     refuted = {item.effect for item in discovery.ranking if item.reason == Reason.PRODUCT}
-    names = set(names_of(best.placed))
+    names = set(names_of(answer.best.placed))
+    if len(names) > 1 and explains_most(answer):
+        return False
     return bool(names & refuted) and Product.name not in names
 
 
@@ -499,10 +504,9 @@ _LONG_RUNS = (
     "errors beyond the noise have {:.3g} of those of the refined declared model or less, also on "
     "the records of the fit"
 )
-_EXCHANGED = (
-    "the other way about, fitted to the held-out records and judged on those of the fit, errors "
-    "have {:.3g} of those of the refined declared model: the mean of both ratios decides, for the "
-    "held-out records alone hardly tell"
+_ALL = (
+    "the held-out records and those of the fit each show it by more than chance, and over both "
+    "errors have {:.3g} of those of the refined declared model"
 )
 _NOT_EXPLAINED = (
     "refined, the declared model misses the held-out records by more than noise or chance in free "

@@ -34,16 +34,29 @@ class Judged:
         refinement: of the model with `placed` in it.
         placed: effects that were added to the declared model.
         runs: whole runs, and runs in windows.
+        fit_runs: the same on the records of the fit; None where these are too short to judge.
     """
 
     refinement: Refinement
     placed: tuple[Placed, ...]
     runs: FreeRuns
+    fit_runs: FreeRuns | None = None
 
     @cached_property
     def error(self) -> float:
         """Mean logarithm of the normalised errors of all outputs, whole and in windows."""
         return mean_error(self.runs)
+
+    @cached_property
+    def error_of_all(self) -> float:
+        """The mean of `error` and the same on the records of the fit.
+
+        Records that judge are often few: of many models one may predict these by chance that is far
+        from those of the fit.
+        """
+        if self.fit_runs is None:
+            return self.error
+        return 0.5 * (self.error + mean_error(self.fit_runs))
 
     @property
     def size(self) -> int:
@@ -66,6 +79,7 @@ class Judge:
         window: length of short runs [s]. head: samples at the start of each, not scored.
         whole_head: the same of whole runs.
         longest: length of the long runs [s]; None: whole records.
+        of_fit: the same for the records of the fit; None where these are too short, or not asked.
     """
 
     records: tuple[Record, ...]
@@ -73,6 +87,7 @@ class Judge:
     head: int
     whole_head: int
     longest: float | None = None
+    of_fit: "Judge | None" = None
 
     @classmethod
     def of(cls, records: tuple[Record, ...], plant: Plant) -> "Judge | None":
@@ -129,21 +144,18 @@ class Judge:
         steps = long_runs.substeps
         return long_runs, judged_runs(plant, self.records, self.head, self.window, steps)
 
+    def judged(self, refinement: Refinement, placed: tuple[Placed, ...]) -> Judged:
+        """A refined model with its free runs."""
+        plant = refinement.plant
+        fit_runs = None if self.of_fit is None else self.of_fit.runs(plant)
+        return Judged(refinement, placed, self.runs(plant), fit_runs)
+
     def prefers(self, trial: FreeRuns, best: FreeRuns) -> bool:
         """Whether the free runs of a model are better than another's by more than chance."""
         if mean_error(best) - mean_error(trial) < _RULES.min_fall:
             return False
         deviations = deviations_of(trial, best)
         return bool(max(deviations) > _RULES.min_deviations > -min(deviations))
-
-    def averages_better(self, trial: FreeRuns, best: FreeRuns) -> bool:
-        """Whether the mean error falls by what decides, and no length of runs tells against it.
-
-        Between fits of the same parameters nothing else speaks for either one.
-        """
-        if mean_error(best) - mean_error(trial) < _RULES.min_fall:
-            return False
-        return bool(min(deviations_of(trial, best)) > -_RULES.min_deviations)
 
     def replaces(self, trial: Judged, best: Judged, origin: Judged) -> bool:
         """Whether a model takes the place of one that was chosen before it.
@@ -172,17 +184,27 @@ class Judge:
     def plainest(self, trials: Sequence[Judged]) -> Judged:
         """The model with the fewest effects among those that are as good as the best one.
 
-        Of as many effects that with the fewest parameters: an end stop imitates an offset. A rare
-        effect must be better by as much as decides, times its rarity, than one that may do the
-        same; a law that contains a simpler one by as much for each of its further parameters. A
-        product, which names no cause, must predict better than laws by more than chance.
+        On all records, and on those that judge. Of as many effects that with the fewest parameters:
+        an end stop imitates an offset. A rare effect must be better by as much as decides, times
+        its rarity, than one that may do the same; a law that contains a simpler one by as much for
+        each of its further parameters. A product, which names no cause, must predict better than
+        laws by more than chance.
         """
 
-        def weighed(trial: Judged) -> float:
-            return trial.error + _RULES.min_fall * (trial.burden - len(trial.placed))
+        def further(trial: Judged) -> float:
+            return _RULES.min_fall * (trial.burden - len(trial.placed))
 
-        lowest = min(weighed(trial) for trial in trials)
-        as_good = [trial for trial in trials if weighed(trial) < lowest + _RULES.min_fall]
+        def weighed(trial: Judged) -> float:
+            return trial.error_of_all + further(trial)
+
+        best = min(trials, key=weighed)
+        most = weighed(best), best.error + further(best)
+        as_good = [
+            trial
+            for trial in trials
+            if weighed(trial) < most[0] + _RULES.min_fall
+            and trial.error + further(trial) < most[1] + _RULES.min_fall
+        ]
         plainest = min(as_good, key=lambda trial: (len(trial.placed), trial.size, weighed(trial)))
         laws = [trial for trial in trials if products_in(trial) < products_in(plainest)]
         if not laws or self.prefers(plainest.runs, min(laws, key=weighed).runs):
@@ -199,7 +221,8 @@ class Judge:
         plainer = [
             trial
             for trial in trials
-            if trial.size < chosen.size and self.is_as_good(trial.runs, chosen.runs)
+            if trial.size < chosen.size
+            and trial.error_of_all < chosen.error_of_all + _RULES.same_error
         ]
         return self.plainest([chosen, *plainer])
 
@@ -307,7 +330,12 @@ def noise_level(runs: FreeRuns) -> float:
     return float(np.mean(np.log(np.maximum(levels, np.finfo(float).tiny))))
 
 
-def odds(rival: FreeRuns, chosen: FreeRuns, further: float = 0.0) -> float:
+def odds(
+    rival: FreeRuns,
+    chosen: FreeRuns,
+    further: float = 0.0,
+    of_fit: tuple[FreeRuns, FreeRuns] | None = None,
+) -> float:
     """Odds that a rival predicts better than a model that was chosen.
 
     A model that leaves more than noise is not the true one, and what it lacks may make either a
@@ -319,17 +347,22 @@ def odds(rival: FreeRuns, chosen: FreeRuns, further: float = 0.0) -> float:
         chosen: those of the model, on the same records.
         further: burden of the rival beyond that of the model: it must be better by as much as makes
             so many effects stay.
+        of_fit: free runs of both on the records of the fit, which then count as much.
     """
     noise = np.exp(2.0 * (noise_level(chosen) - mean_error(chosen)))
     unexplained = _RULES.min_fall * float(np.sqrt(max(1.0 - noise, 0.0)))
     margin = _RULES.min_fall * max(further, 0.0)
-    better = probability_better(rival, chosen, margin, unexplained)
+    better = probability_better(rival, chosen, margin, unexplained, of_fit)
     largest = RULES.probability.largest_odds
     return float(min(better / max(1.0 - better, 1.0 / largest), largest))
 
 
 def probability_better(
-    first: FreeRuns, second: FreeRuns, margin: float = 0.0, shared_error: float = 0.0
+    first: FreeRuns,
+    second: FreeRuns,
+    margin: float = 0.0,
+    shared_error: float = 0.0,
+    of_fit: tuple[FreeRuns, FreeRuns] | None = None,
 ) -> float:
     """Probability that a model predicts better than another, by the mean error of their free runs.
 
@@ -341,21 +374,26 @@ def probability_better(
         second: those of the other one, on the same records.
         margin: difference of mean errors by which the first must be better.
         shared_error: standard error of what all blocks have in common.
+        of_fit: free runs of both on the records of the fit: then the mean of both falls counts.
     """
     from scipy.special import stdtr  # only discovery needs it
 
-    pairs = [
-        (run, rival_run) for run, rival_run in zip(first, second, strict=True) if run and rival_run
-    ]
-    diverges = [any(np.isinf(run.rmse).any() for run in runs) for runs in zip(*pairs, strict=True)]
-    if diverges[0] != diverges[1]:
-        return float(diverges[1])
-    falls = [_log_fall(rival_run, run) for run, rival_run in pairs]
-    fall = float(np.mean([fall for fall, _ in falls])) - margin
-    counting = np.any([_block_sums(run)[1] > 0 for run, _ in pairs], axis=(0, 2))
-    influence = np.mean([part for _, part in falls], axis=0)[counting]
-    error = np.hypot(np.std(influence, ddof=1) / np.sqrt(len(influence)), shared_error)
-    return float(stdtr(len(influence) - 1, fall / max(error, np.finfo(float).tiny)))
+    falls, variances, blocks = [], [], []
+    for runs in [(first, second), *([of_fit] if of_fit else [])]:
+        pairs = [(run, other) for run, other in zip(*runs, strict=True) if run and other]
+        each = zip(*pairs, strict=True)
+        diverges = [any(np.isinf(run.rmse).any() for run in model) for model in each]
+        if diverges[0] != diverges[1]:
+            return float(diverges[1])
+        parts = [_log_fall(rival_run, run) for run, rival_run in pairs]
+        falls.append(np.mean([fall for fall, _ in parts]))
+        counting = np.any([_block_sums(run)[1] > 0 for run, _ in pairs], axis=(0, 2))
+        influence = np.mean([part for _, part in parts], axis=0)[counting]
+        variances.append(np.var(influence, ddof=1) / len(influence))
+        blocks.append(len(influence))
+    error = np.hypot(np.sqrt(np.sum(variances)) / len(falls), shared_error)
+    fall = float(np.mean(falls)) - margin
+    return float(stdtr(sum(blocks) - len(blocks), fall / max(error, np.finfo(float).tiny)))
 
 
 def _log_fall(rival: Validation, trial: Validation) -> tuple[float, Float[np.ndarray, " blocks"]]:

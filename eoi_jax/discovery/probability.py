@@ -172,16 +172,22 @@ def from_contests(
         if contest is None:
             continue
         chosen = contest.chosen
-        against: dict[Placed | None, float] = {None: odds(contest.origin.runs, chosen.runs)}
+        against: dict[Placed | None, float] = {None: _odds(contest.origin, chosen)}
         for trial in contest.trials:
             rivals = [rival for rival in trial.placed if rival.kind_site not in places]
             if rivals and place not in _places(trial) and not reads_as(rivals[0], placed):
-                found = odds(trial.runs, chosen.runs, trial.burden - chosen.burden)
+                found = _odds(trial, chosen, trial.burden - chosen.burden)
                 against[rivals[0]] = max(found, against.get(rivals[0], 0.0))
         against |= dict.fromkeys(_twins(plant, placed, best.placed), 1.0)
         removed = _power(contest.origin.error) - _power(chosen.error)
         standings[placed] = standing(plant, _one_of_each_place(against)).beside(removed, remainder)
     return standings
+
+
+def _odds(rival: Judged, chosen: Judged, further: float = 0.0) -> float:
+    """`odds` of a model over the chosen one, by all records on which both have free runs."""
+    of_fit = (rival.fit_runs, chosen.fit_runs) if rival.fit_runs and chosen.fit_runs else None
+    return odds(rival.runs, chosen.runs, further, of_fit)
 
 
 def _adds(contest: Contest, placed: Placed) -> bool:

@@ -86,6 +86,30 @@ def test_an_order_higher_is_tried_where_the_score_test_says_little_of_it():
     assert free_run_candidates.candidates(found, laws, 1e-300) == []
 
 
+def test_dry_friction_of_what_moves_is_tried_where_the_base_never_stops():
+    mass = eoi.Plant(lambda t, x, u, p: p.b * u - p.c * x.y[1], {"b": 1.0, "c": 0.5}, 2)
+    laws = [effects.CoulombFriction(), effects.AsymmetricFriction(), effects.Leak()]
+
+    def way(seed):
+        """v' = u - 0.5 v - 0.3 sign v in a hundred steps a sample."""
+        u, speed, places = record(seed).inputs[:, 0], 0.0, [0.0]
+        for k in range(199):
+            ends = places[-1]
+            for _ in range(100):
+                speed += 1e-3 * (u[k] - 0.5 * speed - 0.3 * np.tanh(100.0 * speed))
+                ends += 1e-3 * speed
+            places.append(ends)
+        return eoi.Record(TIME, u, np.array(places), hold="zero")
+
+    for plant, made, names in ((mass, way, {"coulomb_friction"}), (PLANT, record, set())):
+        judge = Judge.of((made(2),), plant)
+        assert judge is not None
+        search = Search.begun([plant], (made(1),), judge)
+        assert search is not None
+        models = free_run_candidates.candidates(search.base, laws, 1e-300)
+        assert {item.effect.name for _, placed in models for item in placed} == names
+
+
 def test_further_kinds_of_effects_have_a_place_behind_the_first_ones():
     kinds = [effects.ConstantOffset(), effects.Leak(), effects.QuadraticDrag()]
     kinds += [effects.ActuatorLag(), effects.InputDelay(), effects.InputRate()]
@@ -118,7 +142,7 @@ def biased(offset, seed):
 def judged(plant, judge):
     """A model that is fitted as it stands."""
     fit = refine_once(plant, judge.records, None, max_steps=1)
-    return Judged(replace(fit, plant=plant), (), judge.runs(plant))
+    return judge.judged(replace(fit, plant=plant), ())
 
 
 @pytest.mark.parametrize(("level", "stays"), [(0.2, False), (0.4, True)])
@@ -127,6 +151,7 @@ def test_what_only_held_out_records_show_does_not_stay(level, stays):
     offset = place(PLANT, effects.ConstantOffset(), 0)
     judge = Judge.of((biased(0.4, 2),), PLANT)
     assert judge is not None
+    judge = replace(judge, of_fit=Judge.of((biased(level, 1),), PLANT))
     low, high = (
         judged(augmented(PLANT, (offset,), {offset.names[0]: value}), judge) for value in (0.2, 0.4)
     )

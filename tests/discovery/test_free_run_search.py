@@ -11,7 +11,7 @@ import eoi_jax as eoi
 from eoi_jax import effects
 from eoi_jax.discovery import free_run_search, free_run_trials, in_free_runs
 from eoi_jax.discovery.free_run_candidates import candidates
-from eoi_jax.discovery.free_run_evidence import exchanged_ratio, without_stand_ins
+from eoi_jax.discovery.free_run_evidence import without_stand_ins
 from eoi_jax.discovery.free_run_search import FreeRunAnswer, search_free_runs
 from eoi_jax.discovery.free_run_trials import Search
 from eoi_jax.discovery.judge import Judge, Judged, _standardised, mean_error, only_otherwise
@@ -210,36 +210,19 @@ def shaken(seed, count=300, amplitude=9.0, samples=8):
 
 
 @pytest.mark.slow
-def test_an_effect_that_disturbed_records_hardly_confirm_is_judged_the_other_way_about():
-    """Held-out errors are those of the disturbance; fitted to them, the store predicts the rest."""
+@pytest.mark.parametrize("shown", [True, False])
+def test_records_of_the_fit_confirm_what_few_held_out_ones_hardly_do(monkeypatch, shown):
+    """There the errors fall by a fifth, of what shakes them; in the fit nearly all goes."""
+    if not shown:
+        monkeypatch.setattr(in_free_runs, "shown_by_all", lambda answer: False)
     found = eoi.discover(PLATE, measured(1), shaken(2), [effects.SecondNode()])
-    assert (found.status.code, found.effects) == ("partial", ("second_node",))
-    note = next(note for note in found.notes if note.startswith("the other way about"))
-    ratio = float(note.split("have ")[1].split(" of")[0])
-    assert ratio < 0.1
-    assert found.windows_before is not None
-    assert found.windows_after is not None
-    assert found.windows_after.rmse[0] > 0.7 * found.windows_before.rmse[0]
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("ratio", [0.5, 0.7, 1.2])
-def test_an_effect_stays_a_lead_where_neither_part_confirms_it(monkeypatch, ratio):
-    """√(0.78 ratio) is below two thirds for the first one alone."""
-    monkeypatch.setattr(in_free_runs, "exchanged_ratio", lambda answer: ratio)
-    found = eoi.discover(PLATE, measured(1), shaken(2), [effects.SecondNode()])
-    if ratio == 0.5:
+    if shown:
         assert found.effects == ("second_node",)
+        assert any("those of the fit each show it by more" in note for note in found.notes)
         return
     assert (found.status.code, found.effects) == ("unexplained", ())
     assert found.lead is not None
     assert [added.effect.name for added in found.lead.added] == ["second_node"]
-
-
-def test_the_parts_are_not_exchanged_where_the_records_of_the_fit_are_too_short():
-    answer = searched(measured(1), measured(2), [effects.ConstantOffset()])
-    short = (measured(1)[:20],)
-    assert exchanged_ratio(replace(answer, records=short)) == np.inf
 
 
 SPUN = eoi.Plant(lambda t, x, u, p: u - p.damping * x.y[0], {"damping": 1.2}, 1, inputs=("drive",),
@@ -479,6 +462,28 @@ def test_a_product_that_is_better_by_chance_alone_gives_way_to_a_law(monkeypatch
     assert judge.plainest(list(trials.values())).placed[0].effect.name == "constant_offset"
 
 
+@pytest.mark.parametrize(
+    ("held_out", "fitted", "chosen"),
+    [
+        ((-0.5, -0.6), (-1.0, -0.2), "constant_offset"),  # nearer to a few records by chance
+        ((-0.5, -0.6), (-1.0, -1.0), "end_stop"),
+        ((-0.5, -0.505), (-1.0, -0.995), "constant_offset"),  # as good, with fewer parameters
+        ((-0.5, -0.55), (-1.0, -0.97), "end_stop"),  # on all records, but not on those that judge
+    ],
+)
+def test_of_models_that_are_accepted_all_records_choose(held_out, fitted, chosen):
+    judge, trials = judged_with(dict(zip(("constant_offset", "end_stop"), held_out, strict=True)))
+    models = [
+        replace(trial, fit_runs=(replace(trial.runs[0], nrmse=np.exp([error])), None))
+        for trial, error in zip(trials.values(), fitted, strict=True)
+    ]
+    assert judge.plainest(models).placed[0].effect.name == chosen
+    # None may be the plainest of all by records of the fit that deny it.
+    assert judge.plainest_of_all(models, models[1:]).placed[0].effect.name == (
+        "end_stop" if chosen == "end_stop" else "constant_offset"
+    )
+
+
 def judged_with(errors):
     """A model with one effect or none, of mean errors that are given by its name."""
     plant, time = eoi.Plant(lambda t, x, u, p: p.b * u, {"b": 1.0}, 2), 0.1 * np.arange(60)
@@ -521,7 +526,6 @@ def test_a_model_takes_the_place_of_one_that_came_from_the_same_origin(
     trial = replace(trial, placed=tuple(at for name in placed for at in models[name].placed))
     monkeypatch.setattr(Judge, "prefers", lambda _, __, rival: rival is base.runs and significant)
     assert judge.replaces(trial, best, base) is replaces
-    monkeypatch.setattr(Search, "_judge_of_fit", None)  # fits are all the same here
     search = Search(judge.records, judge.records, judge, (base,))
     assert search.accepts(trial, best, [Contest(base, best, ())]) is replaces
     assert search.accepts(trial, best, []) is False
@@ -549,17 +553,16 @@ def test_the_search_goes_on_from_what_is_left_without_stand_ins(monkeypatch):
     monkeypatch.setattr(Search, "further_forms", lambda *_: [])
     monkeypatch.setattr(Search, "narrowed", lambda _, model, *__, **___: model)
     monkeypatch.setattr(Search, "leanest", lambda _, best: stop if best is wide else best)
-    monkeypatch.setattr(Search, "settled", lambda _, best: [best])
-    monkeypatch.setattr(Search, "_judge_of_fit", None)  # fits are all the same here
+    monkeypatch.setattr(Search, "settled", lambda _, best: best)
     monkeypatch.setattr(
         Judge, "prefers", lambda _, trial, best: mean_error(trial) < mean_error(best)
     )
     search = Search(judge.records, judge.records, judge, (base,))
-    ended = FreeRunAnswer(base, (answer,), judge.records, judge, better_base=False, share=1.0)
+    ended = FreeRunAnswer(base, answer, judge.records, judge, better_base=False, share=1.0)
     monkeypatch.setattr(
         FreeRunAnswer,
         "of",
-        lambda _, fits, __, rounds: replace(ended, fits=tuple(fits), rounds=tuple(rounds)),
+        lambda _, best, __, rounds: replace(ended, best=best, rounds=tuple(rounds)),
     )
     found = search_free_runs([plant], [(judge.records, judge.records)], [])
     assert found is not None
@@ -590,7 +593,6 @@ def test_an_effect_with_which_refinement_tells_no_parameter_any_more_goes(monkey
     monkeypatch.setattr(Search, "further_forms", lambda *_: [])
     monkeypatch.setattr(Search, "narrowed", lambda _, model, *__, **___: model)
     monkeypatch.setattr(Search, "leanest", lambda _, best: best)
-    monkeypatch.setattr(Search, "_judge_of_fit", None)  # fits are all the same here
     monkeypatch.setattr(
         Judge, "prefers", lambda _, trial, best: mean_error(trial) < mean_error(best)
     )
@@ -924,7 +926,7 @@ def test_of_an_explanation_goes_what_free_runs_do_not_tell_beside_their_effects(
         fit = refine_once(plant, (blown(1, offset),), None)
         models.append(Judged(fit, placed, judge.runs(fit.plant)))
     base, model = models
-    answer = FreeRunAnswer(base, (model,), (blown(1, offset),), judge, True, 1.0)
+    answer = FreeRunAnswer(base, model, (blown(1, offset),), judge, True, 1.0)
     left = without_stand_ins(answer, FAN)
     assert left.placed == ((level, square) if stays else (square,))
     if not stays:

@@ -115,7 +115,7 @@ def test_inputs_known_in_parts_shorter_than_any_run_judge_nothing(kept, judges):
 @pytest.mark.parametrize(("long_ratio", "effects_named"), [(0.6, ("coulomb_friction",)), (0.7, ())])
 def test_the_answer_says_that_long_runs_decided(monkeypatch, answer, long_ratio, effects_named):
     monkeypatch.setattr(in_free_runs, "long_run_ratio", lambda answer: long_ratio)
-    monkeypatch.setattr(in_free_runs, "exchanged_ratio", lambda answer: np.inf)
+    monkeypatch.setattr(in_free_runs, "shown_by_all", lambda answer: False)
     record = released(1, 20.0, 0.0)
     found = eoi.discover(PENDULUM, record, released(2, 15.0, 0.0), ["coulomb_friction"])
     judged = in_free_runs.answered(found, answer, None)
@@ -139,7 +139,7 @@ def test_errors_on_records_that_no_model_describes_confirm_no_effect(monkeypatch
         replace(model, runs=judge.runs(model.refinement.plant))
         for model in (answer.base, answer.best)
     )
-    lost = replace(answer, base=base, fits=(best,), judge=judge)
+    lost = replace(answer, base=base, best=best, judge=judge)
     (note,) = lost_on_held_out(lost)
     assert re.search(r"angle is 187\S* to 215\S* deg there, -18\S* to 20\S* in the fit", note)
     assert lost_on_held_out(answer) == []

@@ -8,8 +8,8 @@ from scipy.stats import t as student
 
 import eoi_jax as eoi
 from eoi_jax import effects
-from eoi_jax.discovery import judge
-from eoi_jax.discovery.free_run_search import FreeRunAnswer
+from eoi_jax.discovery import free_run_trials, judge
+from eoi_jax.discovery.free_run_trials import Search
 from eoi_jax.discovery.judge import Judge, Judged, noise_level, odds, probability_better
 from eoi_jax.discovery.probability import Contest, Standing, from_contests, from_sets
 from eoi_jax.discovery.result import Rival
@@ -257,63 +257,53 @@ def test_what_does_the_same_as_a_lag_of_the_sensor_is_as_probable():
     assert told[lag].rivals == ()
 
 
-class Known(Judge):
-    """A judge that knows the errors of models, by their gain."""
-
-    def runs(self, plant):
-        whole, windows = ERRORS[plant.parameters["b"]]
-        return runs_with([whole] * 10)[0], runs_with([windows] * 10)[1]
-
-
-# Of the base, and of fits of a model: over all records, in whole runs and in windows.
-ERRORS = {1.0: (3.0, 3.0), 2.0: (0.5, 0.4), 3.0: (0.2, 0.3), 4.0: (0.1, 0.5), 5.0: (0.05, 0.05)}
-
-
-def test_of_fits_alike_all_records_take_another_where_it_is_better_whole_and_in_windows():
-    data = (record(np.zeros(COUNT)),)
-
-    def fit(gain, level):
-        plant = MASS.with_parameters({"b": gain})
-        return Judged(replace(REFINEMENT, plant=plant), (FRICTION,), runs_with([level] * 10))
-
-    base, judged, alike, mixed, worse = (
-        fit(gain, level)
-        for gain, level in ((1.0, 1.0), (2.0, 0.2), (3.0, 0.3), (4.0, 0.3), (5.0, 1.5))
-    )
-    judge_of_all = Known(data, 1.0, 3, 3)
-    for fits, final in (
-        ((judged,), judged),
-        ((judged, alike), alike),
-        ((judged, mixed), judged),  # better in whole runs alone
-        ((judged, worse), judged),  # worse than the base on the records that judge
-    ):
-        answer = FreeRunAnswer(base, fits, data, judge_of_all, True, 1.0)
-        assert answer.best is judged
-        assert answer.final is final
+def test_records_of_the_fit_count_as_much_as_those_that_judge():
+    """A rival that is hardly better there, and far worse on the others, has no odds."""
+    levels = np.linspace(0.8, 1.2, 10)
+    held_out = runs_with(levels), runs_with(1.05 * levels[::-1])
+    worse = runs_with(3.0 * levels), runs_with(levels)
+    alike = runs_with(levels), runs_with(levels)
+    assert odds(*held_out) > 1.0
+    assert odds(*held_out, of_fit=worse) < 0.01
+    fall, error = fall_and_error(*held_out)
+    expected = student.cdf(0.5 * fall / (0.5 * error), 18)
+    assert probability_better(*held_out, of_fit=alike) == pytest.approx(expected)
+    diverged = runs_with([*levels[:-1], np.inf])
+    assert probability_better(*held_out, of_fit=(diverged, alike[0])) == 0.0
 
 
+def fall_and_error(first, second):
+    """Fall of the logarithm of whole runs as long as windows, and its standard error."""
+    squares = [
+        np.mean(np.square(run.predictions[0].outputs - run.records[0].outputs).reshape(10, -1), 1)
+        for run in (first[0], second[0])
+    ]
+    fall = 0.5 * np.log(np.mean(squares[1]) / np.mean(squares[0]))
+    parts = 0.5 * (squares[1] / np.mean(squares[1]) - squares[0] / np.mean(squares[0]))
+    return fall, np.std(parts, ddof=1) / np.sqrt(10)
+
+
+# Of fits of one model to long and to short runs: on held-out records, and on those of the fit.
 @pytest.mark.parametrize(
-    ("whole", "windows", "taken"),
-    [(0.2, 0.33, True), (0.45, 0.33, True), (0.58, 0.3, False), (0.2, 0.6, False)],
+    ("errors", "chosen"),
+    [
+        ({2.0: (0.5, 0.4), 3.0: (0.4, 0.3)}, 3.0),
+        ({2.0: (0.5, 0.4), 3.0: (0.49, 0.4)}, None),  # as good as the one that is there
+        ({2.0: (0.5, 0.4), 3.0: (0.3, 0.9)}, None),  # better on few records
+        ({2.0: (0.3, 0.2), 3.0: (0.35, 0.1)}, 3.0),
+    ],
 )
-def test_of_fits_alike_the_mean_decides_where_neither_length_of_runs_objects(whole, windows, taken):
-    """Whole runs improve, by more than chance or not; windows get worse by chance, or by much."""
-    data, spread = (record(np.zeros(COUNT)),), np.linspace(0.5, 1.5, 10)
+def test_of_fits_to_long_and_to_short_runs_all_records_decide(monkeypatch, errors, chosen):
+    def fit(gain, *levels):
+        plant = MASS.with_parameters({"b": gain})
+        runs = (runs_with([level] * 10) for level in levels)
+        fitted = replace(REFINEMENT, plant=plant, status=eoi.Status("converged", "as told"))
+        return Judged(fitted, (FRICTION,), *runs)
 
-    class Uneven(Judge):
-        def runs(self, plant):
-            sizes, order = (
-                ((0.6, 0.3), 1) if plant.parameters["b"] == 2.0 else ((whole, windows), -1)
-            )
-            long_runs, short = (runs_with((size * spread[::order]).tolist()) for size in sizes)
-            return long_runs[0], short[1]
-
-    base, judged, other = (
-        Judged(replace(REFINEMENT, plant=MASS.with_parameters({"b": gain})), placed,
-               runs_with([level] * 10))
-        for gain, placed, level in (
-            (1.0, (), 1.0), (2.0, (FRICTION,), 0.2), (3.0, (FRICTION,), 0.3),
-        )
-    )  # fmt: skip
-    answer = FreeRunAnswer(base, (judged, other), data, Uneven(data, 1.0, 3, 3), True, 1.0)
-    assert answer.final is (other if taken else judged)
+    best, *others = fit(1.0, 0.5, 0.4), *(fit(gain, *pair) for gain, pair in errors.items())
+    monkeypatch.setattr(free_run_trials, "over_both", lambda *_: others)
+    monkeypatch.setattr(Search, "_tells_parameters", lambda *_: True)
+    data = (record(np.zeros(COUNT)),)
+    settled = Search(data, data, Judge(data, 1.0, 3, 3), (best,)).settled(best)
+    assert settled is not None
+    assert settled.refinement.plant.parameters["b"] == (chosen or 1.0)

@@ -56,7 +56,7 @@ def test_a_law_that_imitates_dry_friction_of_a_speed_that_stops_gives_way_to_it(
     assert answer is not None
     (friction,) = answer.best.placed
     assert friction.effect == effects.CoulombFriction()
-    parameters = answer.final.refinement.parameters
+    parameters = answer.best.refinement.parameters
     assert parameters["coulomb_friction"] == pytest.approx(LEVEL, rel=0.01)
     assert parameters["d"] == pytest.approx(LOSS, rel=0.01)
     assert friction in from_contests(belt("m/s"), answer.best, answer.best.placed, answer.rounds)

@@ -185,6 +185,16 @@ class AbstractEffect(ABC):
         del values
         return []
 
+    def is_seen(self, values: Sequence[float], reach: float) -> bool:
+        """Whether a signal tells it from a law without its shape.
+
+        Args:
+            values: gains, then shapes.
+            reach: largest less smallest value of the signal that it depends on.
+        """
+        del values, reach
+        return True
+
     def limit(self, kind: str = "") -> "AbstractEffect | None":
         """What it becomes where a parameter runs off; None where that is no law.
 

@@ -1,7 +1,8 @@
 """Forces that depend on the position of an output."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, ClassVar
 
 import jax.numpy as jnp
 import numpy as np
@@ -139,14 +140,14 @@ class PositionRipple(AbstractTerm):
     gains = (Parameter("sine", "{f}"), Parameter("cosine", "{f}"))
     shapes = (Parameter("wavenumber", "1/{y}", lower=0.0),)
     depends_on = "y"
+    shortest: ClassVar[float] = 4.0 * np.pi  # two periods over the range: fewer look like a spring
 
     def fits(self, plant: Plant, output: int) -> bool:
         return mechanical(plant, output)
 
     def grid(self, seen: Seen) -> Grid:
-        # At least two periods over the range: fewer look like a spring. Neighbours on the grid
-        # differ by less than a radian at the ends of the range.
-        phases = np.arange(2.0 * 2.0 * np.pi, 25.0 * 2.0 * np.pi, 1.6)
+        # Neighbours on the grid differ by less than a radian at the ends of the range.
+        phases = np.arange(self.shortest, 25.0 * 2.0 * np.pi, 1.6)
         # A ripple with a wavelength near the noise would be fitted to the noise.
         reach = np.ptp(seen.y) or 1.0
         resolved = phases * seen.noise < 0.3 * reach
@@ -155,6 +156,9 @@ class PositionRipple(AbstractTerm):
         harmonics = np.outer(seen.wavenumbers, [1.0, 2.0]).ravel()
         fine = harmonics[harmonics * reach > phases[-1]]
         return np.concatenate([phases[resolved] / reach, fine])[:, None]
+
+    def is_seen(self, values: Sequence[float], reach: float) -> bool:
+        return values[-1] * reach > self.shortest - 0.8  # half a step of the grid
 
     def term(self, at: At, gain: Any, shape: Any) -> Any:
         phase = shape[0] * at.y

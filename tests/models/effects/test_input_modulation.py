@@ -115,7 +115,7 @@ def test_it_is_found_with_its_size_in_free_runs():
     answer = searched(DEPTH)
     (placed,) = answer.best.placed
     assert (placed.effect.name, placed.channel, placed.through) == (EFFECT.name, 0, 1)
-    depth, lag = (answer.final.refinement.parameters[name] for name in placed.names[:2])
+    depth, lag = (answer.best.refinement.parameters[name] for name in placed.names[:2])
     assert depth == pytest.approx(DEPTH, rel=0.05)
     assert lag == pytest.approx(LAG, rel=0.2)
 
@@ -126,7 +126,7 @@ def test_the_form_in_which_both_move_the_store_is_found_from_the_first():
     answer = searched(DEPTH, share=-1.5)
     (placed,) = answer.best.placed
     assert placed.effect == SHARED
-    values = [answer.final.refinement.parameters[name] for name in placed.names]
+    values = [answer.best.refinement.parameters[name] for name in placed.names]
     assert values == pytest.approx([DEPTH, LAG, -1.5], rel=0.15)
 
 
