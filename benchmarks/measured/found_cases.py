@@ -23,10 +23,12 @@ import eoi_jax as eoi
 from benchmarks.measured.campaign_cases import Rig
 from benchmarks.measured.found_blind_cases import BLIND
 from benchmarks.measured.found_driven_cases import DRIVEN
+from benchmarks.measured.found_flow_cases import FLOWS
 from benchmarks.measured.found_fresh_cases import FRESH
 from benchmarks.measured.found_kit_cases import KITS
 from benchmarks.measured.found_late_cases import LATE
 from benchmarks.measured.found_latest_cases import LATEST
+from benchmarks.measured.found_machine_cases import MACHINES
 from benchmarks.measured.found_mechanical_cases import MECHANICAL
 from benchmarks.measured.found_mixed_cases import MIXED
 from benchmarks.measured.found_newest_cases import NEWEST
@@ -415,4 +417,6 @@ FOUND: Mapping[str, FoundSet] = {
     **BLIND,
     **MIXED,
     **KITS,
+    **MACHINES,
+    **FLOWS,
 }
