@@ -107,8 +107,8 @@ def smoky_room(folder: Path) -> Rig:
     return Rig(
         plant, runs(plant, folder / "smoky_room", parts),
         {"particles": (511.5, 511.5)}, {"particles": (78.9, 78.9)},
-        ("sensor_lag|second_node|actuator_lag|quadratic_drag|power_loss|product|curve|sensor_curve"
-         "|saturating_loss",), "1/dl", windows=1,
+        (("sensor_lag|second_node|actuator_lag|quadratic_drag|power_loss|product|curve|sensor_curve"
+          "|saturating_loss"),), "1/dl", windows=1,
         remark="the decay starts slowly: counts that saturate, or a square in the loss (held out "
         "149, declared 478); a lag of 12 s of the sensor is nearly as good there (158), here 136",
     )  # fmt: skip

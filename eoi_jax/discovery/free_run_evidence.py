@@ -101,8 +101,8 @@ def explains_most(answer: FreeRunAnswer) -> bool:
     pairs = [(best.runs, base.runs)]
     if best.fit_runs is not None and base.fit_runs is not None:
         pairs.append((best.fit_runs, base.fit_runs))
-    left = [np.exp(2.0 * (mean_error(new) - mean_error(old))) for new, old in pairs]
-    return bool(max(left) < 1.0 - RULES.answer.explained)
+    shares = [np.exp(2.0 * (mean_error(runs) - mean_error(rival))) for runs, rival in pairs]
+    return bool(max(shares) < 1.0 - RULES.answer.explained)
 
 
 def without_stand_ins(answer: FreeRunAnswer, declared: Plant) -> Judged:

@@ -346,12 +346,12 @@ class Search:
         """
         fits = over_both(best.refinement.plant, best.placed, self.records, self.judge)
         ended = [fit for fit in fits if fit.refinement.status.ok]
-        told = [fit for fit in ended if self._tells_parameters(fit)]
-        if ended and not told and self._tells_parameters(best):
+        determined = [fit for fit in ended if self._tells_parameters(fit)]
+        if ended and not determined and self._tells_parameters(best):
             return None
-        other = min(told or ended, key=lambda fit: fit.error_of_all, default=best)
-        is_better = other.error_of_all < best.error_of_all - RULES.judge.min_fall
-        return other if is_better or self.searched is not self.records else best
+        trial = min(determined or ended, key=lambda fit: fit.error_of_all, default=best)
+        is_better = trial.error_of_all < best.error_of_all - RULES.judge.min_fall
+        return trial if is_better or self.searched is not self.records else best
 
 
 def refined(

@@ -191,19 +191,19 @@ class Judge:
         laws by more than chance.
         """
 
-        def further(trial: Judged) -> float:
+        def penalty(trial: Judged) -> float:
             return _RULES.min_fall * (trial.burden - len(trial.placed))
 
         def weighed(trial: Judged) -> float:
-            return trial.error_of_all + further(trial)
+            return trial.error_of_all + penalty(trial)
 
         best = min(trials, key=weighed)
-        most = weighed(best), best.error + further(best)
+        limits = weighed(best), best.error + penalty(best)
         as_good = [
             trial
             for trial in trials
-            if weighed(trial) < most[0] + _RULES.min_fall
-            and trial.error + further(trial) < most[1] + _RULES.min_fall
+            if weighed(trial) < limits[0] + _RULES.min_fall
+            and trial.error + penalty(trial) < limits[1] + _RULES.min_fall
         ]
         plainest = min(as_good, key=lambda trial: (len(trial.placed), trial.size, weighed(trial)))
         laws = [trial for trial in trials if products_in(trial) < products_in(plainest)]
@@ -380,9 +380,10 @@ def probability_better(
 
     falls, variances, blocks = [], [], []
     for runs in [(first, second), *([of_fit] if of_fit else [])]:
-        pairs = [(run, other) for run, other in zip(*runs, strict=True) if run and other]
-        each = zip(*pairs, strict=True)
-        diverges = [any(np.isinf(run.rmse).any() for run in model) for model in each]
+        pairs = [(run, rival_run) for run, rival_run in zip(*runs, strict=True)
+                 if run and rival_run]  # fmt: skip
+        models = zip(*pairs, strict=True)
+        diverges = [any(np.isinf(run.rmse).any() for run in model) for model in models]
         if diverges[0] != diverges[1]:
             return float(diverges[1])
         parts = [_log_fall(rival_run, run) for run, rival_run in pairs]
