@@ -14,7 +14,6 @@ from eoi_jax.discovery.judge import (
     deviations_of,
     error_ratio,
     least_error_ratio,
-    mean_error,
     only_otherwise,
     ratio_beyond_noise,
 )
@@ -90,19 +89,6 @@ def shown_by_all(answer: FreeRunAnswer) -> bool:
         return False
     fall = base.error_of_all - best.error_of_all
     return bool(best.error < base.error and fall > -np.log(RULES.answer.confirmed))
-
-
-def explains_most(answer: FreeRunAnswer) -> bool:
-    """Whether a model takes of the power of the errors what explains an injection.
-
-    On the records that judge, and on those of the fit.
-    """
-    best, base = answer.best, answer.base
-    pairs = [(best.runs, base.runs)]
-    if best.fit_runs is not None and base.fit_runs is not None:
-        pairs.append((best.fit_runs, base.fit_runs))
-    shares = [np.exp(2.0 * (mean_error(runs) - mean_error(rival))) for runs, rival in pairs]
-    return bool(max(shares) < 1.0 - RULES.answer.explained)
 
 
 def without_stand_ins(answer: FreeRunAnswer, declared: Plant) -> Judged:

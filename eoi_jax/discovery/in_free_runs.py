@@ -22,7 +22,6 @@ from eoi_jax.discovery.diagnose import diagnose
 from eoi_jax.discovery.free_run_candidates import Model
 from eoi_jax.discovery.free_run_evidence import (
     contradicted_by_fit,
-    explains_most,
     long_run_ratio,
     lost_on_held_out,
     shown_by_all,
@@ -343,7 +342,7 @@ def answered(discovery: Discovery, answer: FreeRunAnswer, lowpass: LowPass | Non
     if any(isinstance(at.effect, PRODUCTS) for at in best.placed):
         confirms = confirms and not contradicted_by_fit(answer)
     lost = lost_on_held_out(answer)
-    if best.placed and confirms and not lost and not _imitates(discovery, answer):
+    if best.placed and confirms and not lost and not _imitates(discovery, best):
         names = labels_of(best.placed)
         left = beyond_noise(best.runs[1], answer.judging)
         code, text = ("partial", _PARTIAL) if left else ("complete", _COMPLETE)
@@ -451,16 +450,10 @@ def _standings_of(discovery: Discovery) -> dict[Placed, Standing]:
     }
 
 
-def _imitates(discovery: Discovery, answer: FreeRunAnswer) -> bool:
-    """Whether a product of signals refuted an effect in the injection, and none is in the model.
-
-    What a product takes of the rest of one effect may be another one, where together they explain
-    the errors of free runs on all records.
-    """
+def _imitates(discovery: Discovery, best: Judged) -> bool:
+    """Whether a product of signals refuted an effect in the injection, and none is in the model."""
     refuted = {item.effect for item in discovery.ranking if item.reason == Reason.PRODUCT}
-    names = set(names_of(answer.best.placed))
-    if len(names) > 1 and explains_most(answer):
-        return False
+    names = set(names_of(best.placed))
     return bool(names & refuted) and Product.name not in names
 
 
