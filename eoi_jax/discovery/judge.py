@@ -185,14 +185,14 @@ class Judge:
         """The model with the fewest effects among those that are as good as the best one.
 
         On all records, and on those that judge. Of as many effects that with the fewest parameters:
-        an end stop imitates an offset. A rare effect must be better by as much as decides, times
-        its rarity, than one that may do the same; a law that contains a simpler one by as much for
-        each of its further parameters. A product, which names no cause, must predict better than
+        an end stop imitates an offset. Each further effect must be better by as much as decides, a
+        rare one as often as it is rare, and a law that contains a simpler one for each of its
+        further parameters. A product, which names no cause, must predict better than
         laws by more than chance.
         """
 
         def penalty(trial: Judged) -> float:
-            return _RULES.min_fall * (trial.burden - len(trial.placed))
+            return _RULES.min_fall * trial.burden
 
         def weighed(trial: Judged) -> float:
             return trial.error_of_all + penalty(trial)
