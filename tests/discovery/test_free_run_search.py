@@ -484,6 +484,15 @@ def test_of_models_that_are_accepted_all_records_choose(held_out, fitted, chosen
     )
 
 
+@pytest.mark.parametrize(("error", "count"), [(-1.32, 1), (-1.42, 2)])
+def test_a_pair_is_better_than_one_effect_by_what_makes_an_effect_stay(error, count):
+    """Else a pair that does not stay sets what others are as good as: 0.03, and 0.03 for it."""
+    judge, trials = judged_with({"constant_offset": -1.285, "end_stop": error})
+    single, other = trials.values()
+    pair = replace(other, placed=(*single.placed, *other.placed))
+    assert len(judge.plainest([single, pair]).placed) == count
+
+
 def judged_with(errors):
     """A model with one effect or none, of mean errors that are given by its name."""
     plant, time = eoi.Plant(lambda t, x, u, p: p.b * u, {"b": 1.0}, 2), 0.1 * np.arange(60)
