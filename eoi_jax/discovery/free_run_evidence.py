@@ -7,9 +7,8 @@ import numpy as np
 from eoi_jax.data.record import Record
 from eoi_jax.discovery.additions import has_size
 from eoi_jax.discovery.free_run_search import FreeRunAnswer
-from eoi_jax.discovery.free_run_trials import portion, refined
+from eoi_jax.discovery.free_run_trials import refined
 from eoi_jax.discovery.judge import (
-    Judge,
     Judged,
     deviations_of,
     error_ratio,
@@ -64,16 +63,15 @@ def long_run_ratio(answer: FreeRunAnswer) -> float:
     best, base = answer.best.runs, answer.base.runs
     assert best[1] is not None
     assert base[1] is not None
-    plant = answer.base.refinement.plant
-    judge = Judge.of(portion(answer.records, plant), plant)
+    fitted, fitted_base = answer.best.fit_runs, answer.base.fit_runs
     tells = least_error_ratio(best[1], base[1]) < RULES.answer.confirmed
     grows = np.log(error_ratio(best[1], base[1])) > RULES.judge.same_error
-    if tells or grows or judge is None:
+    if tells or grows or fitted is None or fitted_base is None:
         return np.inf
-    fits = [judge.runs(model.refinement.plant)[0] for model in (answer.best, answer.base)]
-    if not judge.prefers((fits[0], None), (fits[1], None)):
+    if not answer.judge.prefers((fitted[0], None), (fitted_base[0], None)):
         return np.inf
-    return max(ratio_beyond_noise(best[0], base[0]), ratio_beyond_noise(fits[0], fits[1]))
+    on_fit = ratio_beyond_noise(fitted[0], fitted_base[0])
+    return max(ratio_beyond_noise(best[0], base[0]), on_fit)
 
 
 def shown_by_all(answer: FreeRunAnswer) -> bool:
@@ -119,12 +117,9 @@ def contradicted_by_fit(answer: FreeRunAnswer) -> bool:
     There the model predicts otherwise than the base, by as much as would lower the errors enough if
     it were true, and hardly better.
     """
-    plant = answer.base.refinement.plant
-    judge = Judge.of(portion(answer.records, plant), plant)
-    if judge is None:
-        return False
     base, best = (model.refinement.plant for model in (answer.base, answer.best))
-    return only_otherwise(judge, best, base)
+    judge = answer.judge.of_fit
+    return judge is not None and only_otherwise(judge, best, base)
 
 
 def surpasses(answer: FreeRunAnswer, plant: Plant, placed: Sequence[Placed]) -> bool:

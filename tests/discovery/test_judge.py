@@ -162,7 +162,13 @@ def test_without_friction_nothing_is_added_to_such_records():
 
 def test_long_runs_decide_nothing_that_is_chance_on_the_records_of_the_fit(answer, monkeypatch):
     """Half a swing under much noise: errors beyond it are a half, by no more than its scatter."""
-    few = replace(answer, records=(released(6, 20.0, 40.0, 4.0, 120),))
+    judge = Judge.of((released(6, 20.0, 40.0, 4.0, 120),), answer.base.refinement.plant)
+    assert judge is not None
+    base, best = (
+        replace(model, fit_runs=judge.runs(model.refinement.plant))
+        for model in (answer.base, answer.best)
+    )
+    few = replace(answer, base=base, best=best)
     assert long_run_ratio(few) == np.inf
     monkeypatch.setattr(Judge, "prefers", lambda *_: True)
     assert long_run_ratio(few) < 2.0 / 3.0

@@ -307,3 +307,16 @@ def test_of_fits_to_long_and_to_short_runs_all_records_decide(monkeypatch, error
     settled = Search(data, data, Judge(data, 1.0, 3, 3), (best,)).settled(best)
     assert settled is not None
     assert settled.refinement.plant.parameters["b"] == (chosen or 1.0)
+
+
+@pytest.mark.parametrize(("wavenumber", "tells"), [(7.0, True), (3.0, False)])
+def test_a_ripple_needs_two_periods_within_the_range_of_the_records(wavenumber, tells):
+    """The records swing from -1 to 1: less than two periods are a bend, of any law."""
+    ripple = place(MASS, effects.PositionRipple(), 0)
+    values = dict(zip(ripple.names, (0.5, 0.5, wavenumber), strict=True))
+    fit = replace(REFINEMENT, parameters={**REFINEMENT.parameters, **values},
+                  standard_errors=dict.fromkeys([*MASS.names, *values], 0.01))  # fmt: skip
+    runs = runs_with([1.0] * 10)
+    data = (record(np.sin(0.1 * np.arange(COUNT))),)
+    search = Search(data, data, Judge(data, 1.0, 3, 3), (Judged(REFINEMENT, (), runs),))
+    assert search._of_unknown_size(Judged(fit, (ripple,), runs)) == ([] if tells else [ripple])
