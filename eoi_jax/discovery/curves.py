@@ -99,7 +99,7 @@ def with_curves(
     if settled is None or not tells_its_curve(settled):
         return discovery
     answer = FreeRunAnswer.of(search, settled, declared.plant)
-    found = answered(discovery, answer, lowpass)
+    found = answered(discovery, answer, (), lowpass)
     notes = dict.fromkeys((*found.notes, *_nearest_laws(answer.best)))
     return replace(found, ambiguous_with=(), advice="", notes=tuple(notes))
 

@@ -85,7 +85,10 @@ def leaves_open(discovery: Discovery) -> bool:
         # What is read as noise off a few samples may be motion.
         lost = bool(np.any(runs.nrmse > _RULES.useless))
         return lost or bool(beyond_noise(runs, discovery.held_out))
-    doubted = _stands_in(discovery.added) or (_may_be_store(discovery.added) and not is_small)
+    # What holds over time alone tells no held-out record to its noise.
+    in_time = _in_time(discovery.added) and _misses_by_more_than_noise(discovery)
+    doubted = in_time or _bends(discovery.added)
+    doubted |= _may_be_store(discovery.added) and not is_small
     return code in ("unexplained", "no_data") or (code == "complete" and doubted)
 
 
@@ -94,8 +97,23 @@ def _stands_in(added: Sequence[Added]) -> bool:
 
     An overflow beside an offset or a leak is one, in place of a loss that bends.
     """
-    in_time = any(isinstance(item.effect, Drift | SinusoidalDisturbance) for item in added)
-    return in_time or _share_output(added, Overflow, ConstantOffset | Leak)
+    return _in_time(added) or _bends(added)
+
+
+def _in_time(added: Sequence[Added]) -> bool:
+    """Whether one of some effects is a disturbance in time."""
+    return any(isinstance(item.effect, Drift | SinusoidalDisturbance) for item in added)
+
+
+def _bends(added: Sequence[Added]) -> bool:
+    """Whether an overflow stands beside an offset or a leak: in place of a loss that bends."""
+    return _share_output(added, Overflow, ConstantOffset | Leak)
+
+
+def _misses_by_more_than_noise(discovery: Discovery) -> bool:
+    """Whether free runs of an answer on held-out records do, whole or in windows."""
+    runs = discovery.after, discovery.windows_after
+    return any(beyond_noise(run, discovery.held_out) for run in runs)
 
 
 def _may_be_store(added: Sequence[Added]) -> bool:
@@ -142,7 +160,7 @@ def with_free_runs(
     doubted = justified and _may_be_store(discovery.added)
     if doubted and not surpasses(answer, discovery.plant, placed_effects(discovery)):
         return discovery
-    outcome = answered(discovery, answer, lowpass)
+    outcome = answered(discovery, answer, effects, lowpass)
     return discovery if justified and _contradicts_injection(outcome, discovery) else outcome
 
 
@@ -317,7 +335,12 @@ def _signals_of(plant: Plant, placed: Placed) -> str:
     return effect.label.replace("_", " ")
 
 
-def answered(discovery: Discovery, answer: FreeRunAnswer, lowpass: LowPass | None) -> Discovery:
+def answered(
+    discovery: Discovery,
+    answer: FreeRunAnswer,
+    effects: Sequence[AbstractEffect],
+    lowpass: LowPass | None,
+) -> Discovery:
     """The discovery with the model that the search came to, where that is an answer.
 
     It must lower the errors as much as what confirms an effect elsewhere (`confirm.py`): part of an
@@ -327,6 +350,12 @@ def answered(discovery: Discovery, answer: FreeRunAnswer, lowpass: LowPass | Non
     cause, and is chosen of many: the records of the fit must confirm it, if they can. Where no
     model says anything of the held-out records, their errors confirm none. Else it is the lead, and
     the declared model is refined unless that raises them by more than chance.
+
+    Args:
+        discovery: the answer so far.
+        answer: what the search came to.
+        effects: that were tried in it.
+        lowpass: F of the fits; None: chosen from the records.
     """
     base, best = answer.base, answer.best
     ratio = float(np.exp(best.error - base.error))
@@ -342,7 +371,10 @@ def answered(discovery: Discovery, answer: FreeRunAnswer, lowpass: LowPass | Non
     if any(isinstance(at.effect, PRODUCTS) for at in best.placed):
         confirms = confirms and not contradicted_by_fit(answer)
     lost = lost_on_held_out(answer)
-    if best.placed and confirms and not lost and not _imitates(discovery, best):
+    # Else a product has been a rival of the answer, and has lost.
+    without_product = not any(isinstance(effect, PRODUCTS) for effect in effects)
+    imitates = without_product and _imitates(discovery, best)
+    if best.placed and confirms and not lost and not imitates:
         names = labels_of(best.placed)
         left = beyond_noise(best.runs[1], answer.judging)
         code, text = ("partial", _PARTIAL) if left else ("complete", _COMPLETE)

@@ -5,6 +5,7 @@ whether one predicts better by more than chance; Student's t with as many degree
 blocks, less one, gives the probability of it.
 """
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -138,17 +139,27 @@ class Judge:
         """A judge by two lengths of windows, for models of which whole runs say nothing."""
         return replace(self, longest=2.0 * self.window, whole_head=self.head)
 
-    def runs(self, plant: Plant) -> FreeRuns:
-        """Free runs of a model: long ones, and short ones in as many steps."""
-        long_runs = judged_runs(plant, self.records, self.whole_head, self.longest)
+    def runs(self, plant: Plant, steps: int | None = None) -> FreeRuns:
+        """Free runs of a model: long ones, and short ones in as many steps.
+
+        Args:
+            plant: the model.
+            steps: per sample; None: until half as long ones agree, or there would be too many.
+        """
+        long_runs = judged_runs(
+            plant, self.records, self.whole_head, self.longest, steps, _RULES.steps
+        )
         steps = long_runs.substeps
         return long_runs, judged_runs(plant, self.records, self.head, self.window, steps)
 
     def judged(self, refinement: Refinement, placed: tuple[Placed, ...]) -> Judged:
-        """A refined model with its free runs."""
-        plant = refinement.plant
-        fit_runs = None if self.of_fit is None else self.of_fit.runs(plant)
-        return Judged(refinement, placed, self.runs(plant), fit_runs)
+        """A refined model with its free runs, on both kinds of records in as short steps."""
+        plant, runs, of_fit = refinement.plant, self.runs(refinement.plant), self.of_fit
+        if of_fit is None:
+            return Judged(refinement, placed, runs)
+        periods = [[record.sample_period for record in judge.records] for judge in (self, of_fit)]
+        steps = math.ceil(runs[0].substeps * max(periods[1]) / min(periods[0]))
+        return Judged(refinement, placed, runs, of_fit.runs(plant, steps))
 
     def prefers(self, trial: FreeRuns, best: FreeRuns) -> bool:
         """Whether the free runs of a model are better than another's by more than chance."""

@@ -273,6 +273,9 @@ class JudgeRules:
     # of a start grow. Set with dfki_simple_pendulum in view.
     misled: float = 0.1
     largest_error: float = 1e3  # over the standard deviation of the output: of what diverges
+    # Steps of a simulation of all records, at most: some seconds. A curve as steep as dry friction
+    # would take more than all else. Set with throttle_valve in view.
+    steps: int = 2_000_000
 
 
 @dataclass(frozen=True)

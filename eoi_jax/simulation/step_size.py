@@ -131,16 +131,17 @@ class StepChoice:
     note: str = ""
 
 
-def choose_steps(plant: Plant, records: Sequence[Record]) -> StepChoice:
+def choose_steps(plant: Plant, records: Sequence[Record], total: int = RULES.total) -> StepChoice:
     """Steps per sample by which the fastest mode of a plant is followed along all records.
 
     Args:
         plant: with its parameter values.
         records: of its inputs and outputs.
+        total: steps at most in all records together.
     """
     rates = [fastest_mode(plant, record) * record.sample_period for record in records]
     number = int(np.argmax(rates))
-    count, limit = RULES.coarsest, finest_steps(records)
+    count, limit = RULES.coarsest, finest_steps(records, total)
     while count * RULES.mode < rates[number] and 2 * count <= limit:
         count *= 2
     if count * RULES.mode >= rates[number]:
@@ -184,9 +185,9 @@ def settled_steps(count: int, limit: int, change: Callable[[int], StepChange]) -
     return count, False
 
 
-def finest_steps(records: Sequence[Sized]) -> int:
-    """Steps per sample that records of these lengths may have at most."""
-    return min(RULES.finest, max(RULES.total // sum(map(len, records)), RULES.coarsest))
+def finest_steps(records: Sequence[Sized], total: int = RULES.total) -> int:
+    """Steps per sample that records of these lengths may have at most, so many in all."""
+    return min(RULES.finest, max(total // sum(map(len, records)), RULES.coarsest))
 
 
 def _rates(plant: Plant, row: tuple[Any, ...], x: Array) -> Float[Array, " states"]:

@@ -249,6 +249,7 @@ def judged_runs(
     initial_samples: int | None = None,
     window: float | None = None,
     substeps: int | None = None,
+    total_steps: int = RULES.total,
 ) -> Validation:
     """`validate` in runs of exactly this length, None for whole records: what can be compared.
 
@@ -258,11 +259,12 @@ def judged_runs(
         initial_samples: as of `validate`.
         window: length of each run [s]; None: whole records.
         substeps: as of `validate`.
+        total_steps: that all records together may take.
     """
     records = check_records(plant, records)
     for record in records:
         _check_record(plant, record, initial_samples, window)
-    judge = partial(_judged, plant, initial_samples, window, substeps)
+    judge = partial(_judged, plant, initial_samples, window, substeps, total_steps)
     rule = undeclared_hold(records)
     if rule is None:
         return judge(records)
@@ -286,10 +288,13 @@ def _judged(
     initial_samples: int | None,
     window: float | None,
     substeps: int | None,
+    total_steps: int,
     records: tuple[Record, ...],
 ) -> Validation:
     """The free runs of records whose hold is declared."""
-    choice = choose_steps(plant, records) if substeps is None else StepChoice(substeps)
+    choice = (
+        choose_steps(plant, records, total_steps) if substeps is None else StepChoice(substeps)
+    )
     heads = [_head(plant, record, initial_samples) for record in records]
     run = Run(plant, frictional(plant), choice.count)
     if initial_samples is None and window is None:
@@ -297,7 +302,8 @@ def _judged(
     pieces = _pieces(plant, records, heads, window)
     prediction, count = _Prediction.of(run, records, pieces), choice.count
     if substeps is None:
-        prediction, count = _halved(prediction, run, records, pieces)
+        limit = finest_steps(records, total_steps)
+        prediction, count = _halved(prediction, run, records, pieces, limit)
     notes = [choice.note, *_start_notes(records, pieces, heads, window), *prediction.notes]
     samples = prediction.samples(records)
     for name, counts in zip(plant.outputs, samples[2].T, strict=True):
@@ -518,7 +524,11 @@ class _Prediction:
 
 
 def _halved(
-    prediction: _Prediction, run: Run, records: Sequence[Record], pieces: Sequence[_Piece]
+    prediction: _Prediction,
+    run: Run,
+    records: Sequence[Record],
+    pieces: Sequence[_Piece],
+    limit: int,
 ) -> tuple[_Prediction, int]:
     """The runs with the longest steps that half as long ones agree with, and their number a sample.
 
@@ -526,7 +536,6 @@ def _halved(
     of a step that would take longest. Runs that diverge, in far shorter steps from the same states
     as well, stay as they are.
     """
-    limit = finest_steps(records)
 
     def settled(first: _Prediction, count: int) -> tuple[int, bool]:
         predictions = {count: first}
