@@ -203,6 +203,14 @@ def test_a_kink_beside_a_straight_loss_may_stand_for_a_loss_that_bends(laws, dou
     assert leaves_open(complete) == doubted
 
 
+@pytest.mark.parametrize("held_out", [SPRING, {}])
+def test_a_disturbance_in_time_that_predicts_to_the_noise_stands_in_for_nothing(found, held_out):
+    """A search in free runs of such an answer took ten times as long as all else."""
+    drift = replace(found.added[0], effect=effects.Drift())
+    answer = replace(judged_on(found, record(held_out, 2)), added=(drift,))
+    assert leaves_open(answer) == (not held_out)
+
+
 @pytest.mark.parametrize(("error", "doubted"), [(0.005, False), (0.05, True)])
 def test_a_loss_to_a_level_may_stand_for_a_store_where_something_is_left(error, doubted):
     answer = discovery()

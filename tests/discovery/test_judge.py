@@ -11,6 +11,7 @@ from scipy.integrate import solve_ivp
 import eoi_jax as eoi
 from eoi_jax import effects
 from eoi_jax.discovery import in_free_runs
+from eoi_jax.discovery import judge as judge_module
 from eoi_jax.discovery.free_run_evidence import long_run_ratio, lost_on_held_out
 from eoi_jax.discovery.free_run_search import search_free_runs
 from eoi_jax.discovery.judge import (
@@ -20,6 +21,8 @@ from eoi_jax.discovery.judge import (
     least_error_ratio,
     ratio_beyond_noise,
 )
+from eoi_jax.discovery.remarks import Reason
+from eoi_jax.discovery.rules import RULES
 from eoi_jax.models.augmented import place
 from eoi_jax.models.placements import placements
 from eoi_jax.refinement.refine import refine_once
@@ -118,10 +121,60 @@ def test_the_answer_says_that_long_runs_decided(monkeypatch, answer, long_ratio,
     monkeypatch.setattr(in_free_runs, "shown_by_all", lambda answer: False)
     record = released(1, 20.0, 0.0)
     found = eoi.discover(PENDULUM, record, released(2, 15.0, 0.0), ["coulomb_friction"])
-    judged = in_free_runs.answered(found, answer, None)
+    judged = in_free_runs.answered(found, answer, (), None)
     assert judged.effects == effects_named
     notes = [note for note in judged.notes if note.startswith("in short runs the predictions")]
     assert len(notes) == len(effects_named)
+
+
+@pytest.mark.parametrize(
+    ("tried", "named"),
+    [([effects.CoulombFriction()], ()),
+     ([effects.CoulombFriction(), effects.Product("y", "v")], ("coulomb_friction",))],
+)  # fmt: skip
+def test_what_a_product_refuted_in_the_injection_is_named_where_products_were_tried(
+    monkeypatch, answer, tried, named
+):
+    """In free runs a product was then a rival, and has lost."""
+    monkeypatch.setattr(in_free_runs, "long_run_ratio", lambda answer: 0.6)
+    record = released(1, 20.0, 0.0)
+    found = eoi.discover(PENDULUM, record, released(2, 15.0, 0.0), ["coulomb_friction"])
+    refuted = replace(found.ranking[0], effect="coulomb_friction", reason=Reason.PRODUCT)
+    found = replace(found, ranking=(refuted,))
+    assert in_free_runs.answered(found, answer, tried, None).effects == named
+
+
+def steep(t, x, u, p):
+    """Dry friction as a curve that is nearly a step."""
+    del t, u
+    return -p.stiffness * x.y[0] - p.friction * jnp.clip(1e4 * x.y[1], -1.0, 1.0)
+
+
+def test_a_model_is_judged_in_a_bounded_number_of_steps(monkeypatch):
+    """A curve as steep as dry friction took a third of the time of a search."""
+    plant = eoi.Plant(steep, {"stiffness": 40.0, "friction": 40.0}, 2, (), ("angle",))
+    judge = Judge.of((released(2, 15.0, 40.0, 0.0),), PENDULUM)
+    assert judge is not None
+    counts = []
+    for most in (RULES.judge.steps, 5_000):
+        monkeypatch.setattr(judge_module, "_RULES", replace(RULES.judge, steps=most))
+        runs = judge.runs(plant)
+        counts.append(runs[0].substeps)
+        assert runs[1] is not None
+        assert runs[1].substeps == runs[0].substeps <= most / 500
+    assert counts[0] > counts[1]
+
+
+def test_records_of_the_fit_are_simulated_in_steps_as_short_as_those_that_judge():
+    """Whatever their sample periods are."""
+    judge = Judge.of((released(2, 15.0, 0.0),), PENDULUM)
+    assert judge is not None
+    records = (released(1, 20.0, 0.0, period=0.06, count=300),)
+    fit = refine_once(PENDULUM, records, None)
+    judged = replace(judge, of_fit=Judge.of(records, PENDULUM)).judged(fit, ())
+    assert judged.fit_runs is not None
+    steps = [runs[0].substeps for runs in (judged.runs, judged.fit_runs)]
+    assert steps[1] == 3 * steps[0]
 
 
 @pytest.mark.slow
@@ -144,7 +197,7 @@ def test_errors_on_records_that_no_model_describes_confirm_no_effect(monkeypatch
     assert re.search(r"angle is 187\S* to 215\S* deg there, -18\S* to 20\S* in the fit", note)
     assert lost_on_held_out(answer) == []
     found = eoi.discover(PENDULUM, released(1, 20.0, 0.0), elsewhere, ["coulomb_friction"])
-    judged = in_free_runs.answered(found, lost, None)
+    judged = in_free_runs.answered(found, lost, (), None)
     assert judged.effects == ()
     assert judged.lead is not None
     assert note in judged.notes
