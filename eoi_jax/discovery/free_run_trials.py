@@ -107,8 +107,8 @@ class Search:
         that are tried one may describe these by chance. What both show together is enough.
         """
         held_out = trial.runs, best.runs
-        if self.judge.prefers(*held_out):
-            return self.is_shown_by_fit(trial, best)
+        if self.judge.prefers(*held_out) and self.is_shown_by_fit(trial, best):
+            return True
         if rounds and self.judge.replaces(trial, best, rounds[-1].origin):
             return self.is_shown_by_fit(trial, rounds[-1].origin)
         if trial.fit_runs is None or best.fit_runs is None:

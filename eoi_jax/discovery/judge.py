@@ -434,13 +434,15 @@ def deviations_of(trial: FreeRuns, rival: FreeRuns) -> list[float]:
 def jointly_preferred(pairs: Sequence[tuple[FreeRuns, FreeRuns]]) -> bool:
     """Whether free runs of a model are better than another's by more than chance on all records.
 
-    On each kind of records the mean error falls by what decides, and in no length of runs it rises
-    by as much; together their deviations are those of chance hardly ever (Stouffer's sum).
+    On each kind of records the mean error falls by what decides, and by a share of what it falls by
+    on the other: what describes one kind alone is of that. In no length of runs it rises by as much
+    as decides; together their deviations are those of chance hardly ever (Stouffer's sum).
 
     Args:
         pairs: free runs of the model and of the other one, on each kind of records.
     """
-    if any(mean_error(rival) - mean_error(trial) < _RULES.min_fall for trial, rival in pairs):
+    means = [mean_error(rival) - mean_error(trial) for trial, rival in pairs]
+    if min(means) < max(_RULES.min_fall, _RULES.least_share * max(means)):
         return False
     falls = [np.subtract(errors_of_each(rival), errors_of_each(trial)) for trial, rival in pairs]
     deviations = [deviations_of(*pair) for pair in pairs]

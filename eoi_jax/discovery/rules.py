@@ -259,6 +259,9 @@ class JudgeRules:
     # The same of the records of the fit and of those that judge, as the sum of two standard normal
     # variables over √2. Both are set with the sets of `found_mixed_cases.py` in view.
     min_joint_deviations: float = 2.5
+    # Fall of the errors on one of these kinds over that on the other, at least. Set with
+    # dye_reactor in view, where an offset lowers them by 0.06 and 1.37.
+    least_share: float = 0.1
     same_error: float = 0.01  # difference of mean errors that counts as none
     noise_known: float = 0.03  # error of the square of the noise that samples show, over it
     blocks: int = 10  # of each record, whose errors are compared in pairs
