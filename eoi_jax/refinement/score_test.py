@@ -273,24 +273,24 @@ class LinearisedRuns:
             return self._with_changed_model(placed, grid)
         if not isinstance(placed.effect, AbstractTerm):
             return [self._changed(placed, shape) for shape in grid]
+        if not len(grid):
+            return []
         t, u, y, _ = self.stages
         effect = placed.effect
         has_rate = placed.row < y.shape[-2]
         rate = placed.coordinate(y[..., placed.row, :]) if has_rate else 0.0 * t
         level = placed.coordinate(y[..., 0, :])
         channel = u[..., 0] if u.shape[-1] else 0.0 * t
-        state, inputs = jnp.moveaxis(y, (-2, -1), (0, 1)), jnp.moveaxis(u, -1, 0)
-        signals = [jnp.asarray(term) for term in (t, level, rate, channel)]
-        pushes, units, forces = self._pushes(placed), np.eye(len(effect.gains)), []
-        for shape in grid:
-            z = None
-            if effect.states:
-                period = float(np.mean(t[:, 0, 2] - t[:, 0, 0]))
-                z = jnp.asarray(effect.states_along(level, rate, period, shape))
-            at = At(*signals, z=z, state=state, inputs=inputs)
-            terms = (effect.term(at, list(gain), list(shape)) for gain in units)
-            forces += [np.broadcast_to(term, t.shape)[..., None] * pushes for term in terms]
-        return forces
+        signals = tuple(np.ravel(signal) for signal in (t, level, rate, channel))
+        states = np.zeros((len(grid), t.size, 0))
+        if effect.states:
+            period = float(np.mean(t[:, 0, 2] - t[:, 0, 0]))
+            along_runs = [effect.states_along(level, rate, period, shape) for shape in grid]
+            states = np.moveaxis(np.reshape(along_runs, (len(grid), effect.states, -1)), 1, 2)
+        rows = signals, _as_rows(y), _as_rows(u)
+        terms = along(_UnitTerms(effect), ("grid", "grid rows", "rows"), grid, states, rows)
+        terms = np.moveaxis(terms, 1, 2).reshape(-1, *t.shape, 1)
+        return list(terms * self._pushes(placed))
 
     def _pushes(self, placed: Placed) -> np.ndarray:
         """What one unit of an effect adds to y^(r) of each output, (runs, samples, 3, ny)."""
@@ -311,8 +311,9 @@ class LinearisedRuns:
         else:
             assert isinstance(effect, AbstractInputEffect)
             along_runs = (t, y[..., 0, 0], y[..., min(1, y.shape[-2] - 1), 0], u[..., i])
-            time, level, rate, channel = map(jnp.asarray, along_runs)
-            new[..., i] = np.asarray(effect.changed(At(time, level, rate, channel, None), shape))
+            signals = tuple(np.ravel(signal) for signal in along_runs)
+            changed = along(_Changed(effect), ("fixed", "rows"), shape, signals)
+            new[..., i] = changed.reshape(t.shape)
         return _drift(self.plant, t, new, y, z) - self._unchanged
 
     def _with_changed_model(self, placed: Placed, grid: np.ndarray) -> list[np.ndarray]:
@@ -381,6 +382,29 @@ class Try:
         allowed = all(parameter.lower <= value <= parameter.upper for value, parameter in pairs)
         low, high = _SETTINGS.min_change, _SETTINGS.max_change
         return allowed and (bool(effect.gains) or bool(low < gains[0] < high))
+
+
+@dataclass(frozen=True)
+class _UnitTerms:
+    """What an effect adds to y^(r) at one instant, for a unit of each of its gains."""
+
+    effect: AbstractTerm
+
+    def __call__(self, shape: Any, z: Any, row: tuple[Any, ...]) -> Any:
+        (t, level, rate, channel), state, inputs = row
+        at = At(t, level, rate, channel, z=z, state=state, inputs=inputs)
+        units = np.eye(len(self.effect.gains)).tolist()
+        return jnp.stack([jnp.asarray(self.effect.term(at, unit, [*shape])) for unit in units])
+
+
+@dataclass(frozen=True)
+class _Changed:
+    """What an effect makes of its input at one instant."""
+
+    effect: AbstractInputEffect
+
+    def __call__(self, shape: Any, signals: tuple[Any, ...]) -> Any:
+        return jnp.asarray(self.effect.changed(At(*signals, None), shape))
 
 
 def _is_behind(effect: AbstractEffect) -> bool:

@@ -88,7 +88,7 @@ class Response:
         for first in range(0, count, width):
             part = forces[..., first : first + width]
             room = [(0, 0)] * 3 + [(0, width - part.shape[-1])]
-            parts.append(np.asarray(_moved(self.free, kernel, jnp.pad(part, room)))[:, :, :ny])
+            parts.append(np.asarray(_moved(self.free, kernel, np.pad(part, room)))[:, :, :ny])
         return np.concatenate(parts, axis=-1)[..., :count]
 
 

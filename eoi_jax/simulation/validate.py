@@ -292,9 +292,7 @@ def _judged(
     records: tuple[Record, ...],
 ) -> Validation:
     """The free runs of records whose hold is declared."""
-    choice = (
-        choose_steps(plant, records, total_steps) if substeps is None else StepChoice(substeps)
-    )
+    choice = choose_steps(plant, records, total_steps) if substeps is None else StepChoice(substeps)
     heads = [_head(plant, record, initial_samples) for record in records]
     run = Run(plant, frictional(plant), choice.count)
     if initial_samples is None and window is None:
