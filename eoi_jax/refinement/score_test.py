@@ -285,8 +285,10 @@ class LinearisedRuns:
         states = np.zeros((len(grid), t.size, 0))
         if effect.states:
             period = float(np.mean(t[:, 0, 2] - t[:, 0, 0]))
-            along_runs = [effect.states_along(level, rate, period, shape) for shape in grid]
-            states = np.moveaxis(np.reshape(along_runs, (len(grid), effect.states, -1)), 1, 2)
+            courses = [
+                np.asarray(effect.states_along(level, rate, period, shape)) for shape in grid
+            ]
+            states = np.moveaxis(np.reshape(courses, (len(grid), effect.states, -1)), 1, 2)
         rows = signals, _as_rows(y), _as_rows(u)
         terms = along(_UnitTerms(effect), ("grid", "grid rows", "rows"), grid, states, rows)
         terms = np.moveaxis(terms, 1, 2).reshape(-1, *t.shape, 1)
@@ -404,7 +406,8 @@ class _Changed:
     effect: AbstractInputEffect
 
     def __call__(self, shape: Any, signals: tuple[Any, ...]) -> Any:
-        return jnp.asarray(self.effect.changed(At(*signals, None), shape))
+        t, level, rate, channel = signals
+        return jnp.asarray(self.effect.changed(At(t, level, rate, channel, None), shape))
 
 
 def _is_behind(effect: AbstractEffect) -> bool:
