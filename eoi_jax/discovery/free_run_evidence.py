@@ -23,13 +23,14 @@ from eoi_jax.models.plant import Plant
 
 
 def lost_on_held_out(answer: FreeRunAnswer) -> list[str]:
-    """A sentence where free runs of every length miss held-out records by more than a constant.
+    """A sentence where free runs of every length miss held-out records by more than these move.
 
-    Of two models of which neither says anything of a record one is nearer to it by chance. Records
-    of another place or speed, which the fit has not seen, look so: then the sentence says it.
+    By more than those of the fit move, where that is more. Of two models of which neither says
+    anything of a record one is nearer to it by chance. Records of another place or speed, which the
+    fit has not seen, look so: then the sentence says it.
     """
-    runs = [run for run in answer.best.runs if run is not None]
-    if not all(np.all(~(run.nrmse <= RULES.questions.useless)) for run in runs):
+    errors = [answer.errors_over_motion(run) for run in answer.best.runs if run is not None]
+    if not all(np.all(~(error <= RULES.questions.useless)) for error in errors):
         return []
     seen, judging = (_ranges(records) for records in (answer.records, answer.judging))
     first = answer.judging[0]

@@ -32,6 +32,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from jaxtyping import Float
 
 from eoi_jax.data.holds import SETTINGS
 from eoi_jax.data.record import Record
@@ -47,6 +48,7 @@ from eoi_jax.models.effects.effect import AbstractEffect
 from eoi_jax.models.plant import Plant
 from eoi_jax.simulation.error_growth import is_lost
 from eoi_jax.simulation.sensor_noise import is_exact
+from eoi_jax.simulation.validate import Validation
 
 _RULES = RULES.free_runs
 
@@ -96,10 +98,20 @@ class FreeRunAnswer:
         """Records that no fit has seen."""
         return self.judge.records
 
+    def errors_over_motion(self, runs: Validation) -> Float[np.ndarray, " ny"]:
+        """Errors of the records that judge, over the larger spread of these and those of the fit.
+
+        Where the former hardly move, a constant describes them, whatever the model is.
+        """
+        outputs = [np.where(one.output_valid, one.outputs, np.nan) for one in self.records]
+        spread = np.nanstd(np.concatenate(outputs), axis=0)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            return np.fmin(runs.nrmse, runs.rmse / spread)
+
     @property
     def is_lost(self) -> bool:
         """Whether whole free runs say nothing of its best model either."""
-        error = self.best.runs[0].nrmse
+        error = self.errors_over_motion(self.best.runs[0])
         return is_lost(error, np.ones_like(error))
 
 

@@ -203,6 +203,16 @@ def test_errors_on_records_that_no_model_describes_confirm_no_effect(monkeypatch
     assert note in judged.notes
 
 
+@pytest.mark.parametrize(("error", "is_lost"), [(1.0, False), (50.0, True)])
+def test_held_out_records_that_hardly_move_are_lost_by_more_than_those_of_the_fit_move(
+    answer, error, is_lost
+):
+    """A rig at rest: a constant describes it better than any model."""
+    runs = [replace(run, rmse=np.array([error]), nrmse=np.array([5.0])) for run in answer.best.runs]
+    still = replace(answer, best=replace(answer.best, runs=tuple(runs)))
+    assert bool(lost_on_held_out(still)) == still.is_lost == is_lost
+
+
 def test_long_runs_do_not_decide_alone_where_short_ones_tell():
     assert long_run_ratio(searched(40.0, 0.2)) == np.inf
 
