@@ -201,6 +201,8 @@ def leaves_more(discovery: Discovery) -> bool:
     runs = discovery.windows_after or discovery.after
     if discovery.status.code != "complete" or runs is None:
         return False
+    if np.all(runs.nrmse < _RULES.negligible):
+        return False
     # What an effect does to an internal state no other one of a measured signal does.
     final = Curve | InputCurve | AbstractInternalEffect
     if any(isinstance(addition.effect, final) for addition in discovery.added):

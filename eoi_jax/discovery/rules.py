@@ -329,6 +329,7 @@ class QuestionRules:
     Attributes:
         motion: error over the noise that is read off a record, below which that is motion as well.
         small: error over the spread of the output that is not worth a search.
+        negligible: the same of an answer that explains the injection: sensors show no less.
         wide: the same of an answer of the injection from which on the search begins anew. Set with
             the saturating uptake of `beyond_library` in view.
         contradicted: index of an answer of free runs, over that of one that the injection
@@ -339,6 +340,7 @@ class QuestionRules:
 
     motion: float = 0.7
     small: float = 0.01
+    negligible: float = 1e-4
     wide: float = 0.05
     contradicted: float = 2.0
     useless: float = 1.25

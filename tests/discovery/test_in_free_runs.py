@@ -180,6 +180,12 @@ def test_what_is_questioned(found):
     assert not leaves_more(replace(left, windows_after=None, after=None))
     curved = replace(left.added[0], effect=Curve("y", ()))
     assert not leaves_more(replace(left, added=(curved,)))
+    # Simulated without noise: errors of the simulation, which exceed its accuracy.
+    for size, searched in ((2e-4, True), (5e-5, False)):
+        assert (
+            leaves_more(replace(left, windows_after=replace(runs, nrmse=np.full(1, size))))
+            == searched
+        )
     # An error far below what was read as noise: that was motion, and worth a search.
     runs = replace(found.windows_after, rmse=np.array([1e-9]), nrmse=np.array([0.02]))
     assert leaves_more(replace(found, windows_after=runs))
