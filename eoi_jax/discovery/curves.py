@@ -20,7 +20,7 @@ from eoi_jax.discovery.additions import has_size
 from eoi_jax.discovery.confirm import beyond_noise
 from eoi_jax.discovery.free_run_search import FreeRunAnswer
 from eoi_jax.discovery.free_run_trials import Search, refined
-from eoi_jax.discovery.in_free_runs import answered, placed_effects
+from eoi_jax.discovery.in_free_runs import answered, contradicts_injection, placed_effects
 from eoi_jax.discovery.judge import Judge, Judged, mean_error
 from eoi_jax.discovery.result import Added, Discovery
 from eoi_jax.discovery.rules import RULES
@@ -100,6 +100,8 @@ def with_curves(
         return discovery
     answer = FreeRunAnswer.of(search, settled, declared.plant)
     found = answered(discovery, answer, (), lowpass)
+    if discovery.status.code == "complete" and contradicts_injection(found, discovery):
+        return discovery
     notes = dict.fromkeys((*found.notes, *_nearest_laws(answer.best)))
     return replace(found, ambiguous_with=(), advice="", notes=tuple(notes))
 

@@ -161,10 +161,10 @@ def with_free_runs(
     if doubted and not surpasses(answer, discovery.plant, placed_effects(discovery)):
         return discovery
     outcome = answered(discovery, answer, effects, lowpass)
-    return discovery if justified and _contradicts_injection(outcome, discovery) else outcome
+    return discovery if justified and contradicts_injection(outcome, discovery) else outcome
 
 
-def _contradicts_injection(outcome: Discovery, justified: Discovery) -> bool:
+def contradicts_injection(outcome: Discovery, justified: Discovery) -> bool:
     """Whether an answer leaves far more of the injection than one that the injection justifies.
 
     What is missing explains both. Effects that lower the errors of free runs alone stand in for

@@ -106,6 +106,24 @@ def test_a_curve_is_told_where_some_parameter_of_it_is_known_to_half_its_value(r
     assert curves.tells_its_curve(Judged(fit, (), runs))
 
 
+@pytest.mark.slow
+@pytest.mark.parametrize("contradicted", [False, True])
+def test_a_curve_that_contradicts_what_the_injection_justifies_does_not_take_its_place(
+    soft, monkeypatch, contradicted
+):
+    """Dry friction with an offset (emps): a curve misses less, and leaves more of the injection."""
+    shape = place(HEATER, InputCurve((-6.0, -4.0, -2.0, 2.0, 4.0, 6.0)), 0)
+    best = lambda search, *named: curves._fitted(search, search.base, shape)  # noqa: E731
+    monkeypatch.setattr(curves, "_with_best_curve", best)
+    monkeypatch.setattr(curves, "contradicts_injection", lambda *answers: contradicted)
+    justified = replace(
+        soft, status=eoi.Status("complete", ""), effects=(), added=(),
+        plant=soft.declared.plant, after=soft.before, windows_after=soft.windows_before,
+    )  # fmt: skip
+    answer = curves.with_curves(justified, (measured(softly, 1),), None)
+    assert (answer is justified) == contradicted
+
+
 def at_input(u):
     return At(0.0 * u, 0.0 * u, 0.0 * u, u, None)
 

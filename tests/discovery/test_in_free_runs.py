@@ -11,7 +11,7 @@ from eoi_jax import effects
 from eoi_jax._status import Status
 from eoi_jax.discovery.free_run_search import search_free_runs
 from eoi_jax.discovery.in_free_runs import (
-    _contradicts_injection,
+    contradicts_injection,
     leaves_more,
     leaves_open,
     misses_widely,
@@ -240,4 +240,4 @@ def test_a_model_without_an_estimate_is_searched_in_free_runs_where_records_are_
 def test_an_answer_that_leaves_far_more_of_the_injection_contradicts_it(larger, contradicts):
     justified = discovery()
     fit = replace(justified.found, index=larger * np.asarray(justified.found.index))
-    assert _contradicts_injection(replace(justified, found=fit), justified) is contradicts
+    assert contradicts_injection(replace(justified, found=fit), justified) is contradicts
