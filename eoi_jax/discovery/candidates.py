@@ -9,7 +9,6 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
@@ -23,10 +22,10 @@ from eoi_jax.models.effects.effect import (
     AbstractInputEffect,
     AbstractParameterEffect,
     AbstractTerm,
-    At,
     Grid,
     Seen,
 )
+from eoi_jax.models.effects.instants import ChangedInput, UnitTerms
 from eoi_jax.models.jacobians import input_slopes
 from eoi_jax.models.plant import Plant
 
@@ -270,23 +269,8 @@ class _Term:
     effect: AbstractTerm
 
     def __call__(self, row: tuple, shape: Any, z: Any) -> Array:
-        (t, y, v, u), (state, inputs), push = row
-        at = At(t, y, v, u, z, state=state, inputs=inputs)
-        count = len(self.effect.gains)
-        units = np.eye(count).tolist()
-        terms = [jnp.asarray(self.effect.term(at, unit, shape)) * push for unit in units]
-        return jnp.stack(terms)
-
-
-@dataclass(frozen=True)
-class _Changed:
-    """The input that the model receives at an instant."""
-
-    effect: AbstractInputEffect
-
-    def __call__(self, row: tuple, shape: Any, z: Any) -> Any:
-        t, y, v, u = row
-        return self.effect.changed(At(t, y, v, u, z), shape)
+        *signals, push = row
+        return UnitTerms(self.effect)(tuple(signals), shape, z) * push
 
 
 def _pushes(plant: Plant, placed: Placed, record: ModalRecord) -> Float[np.ndarray, "S ny"]:
@@ -309,7 +293,7 @@ def _changed_inputs(
     assert isinstance(effect, AbstractInputEffect)
     z = states_along(effect, shapes, signals, change, record.sample_period)
     axes = ("rows", "grid", "grid rows")
-    inputs[:, :, placed.channel] = along(_Changed(effect), axes, signals, shapes, z)
+    inputs[:, :, placed.channel] = along(ChangedInput(effect), axes, signals, shapes, z)
     return inputs
 
 

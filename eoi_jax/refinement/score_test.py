@@ -35,9 +35,9 @@ from eoi_jax.models.effects.effect import (
     AbstractInputEffect,
     AbstractParameterEffect,
     AbstractTerm,
-    At,
     Seen,
 )
+from eoi_jax.models.effects.instants import ChangedInput, UnitTerms
 from eoi_jax.models.plant import Plant, State
 from eoi_jax.refinement.free_run_sums import signals
 from eoi_jax.refinement.own_unknowns import OwnUnknowns
@@ -289,8 +289,8 @@ class LinearisedRuns:
                 np.asarray(effect.states_along(level, rate, period, shape)) for shape in grid
             ]
             states = np.moveaxis(np.reshape(courses, (len(grid), effect.states, -1)), 1, 2)
-        rows = signals, _as_rows(y), _as_rows(u)
-        terms = along(_UnitTerms(effect), ("grid", "grid rows", "rows"), grid, states, rows)
+        rows = signals, (_as_rows(y), _as_rows(u))
+        terms = along(UnitTerms(effect), ("rows", "grid", "grid rows"), rows, grid, states)
         terms = np.moveaxis(terms, 1, 2).reshape(-1, *t.shape, 1)
         return list(terms * self._pushes(placed))
 
@@ -314,7 +314,8 @@ class LinearisedRuns:
             assert isinstance(effect, AbstractInputEffect)
             along_runs = (t, y[..., 0, 0], y[..., min(1, y.shape[-2] - 1), 0], u[..., i])
             signals = tuple(np.ravel(signal) for signal in along_runs)
-            changed = along(_Changed(effect), ("fixed", "rows"), shape, signals)
+            axes = ("rows", "fixed", "fixed")
+            changed = along(ChangedInput(effect), axes, signals, shape, np.zeros(0))
             new[..., i] = changed.reshape(t.shape)
         return _drift(self.plant, t, new, y, z) - self._unchanged
 
@@ -384,30 +385,6 @@ class Try:
         allowed = all(parameter.lower <= value <= parameter.upper for value, parameter in pairs)
         low, high = _SETTINGS.min_change, _SETTINGS.max_change
         return allowed and (bool(effect.gains) or bool(low < gains[0] < high))
-
-
-@dataclass(frozen=True)
-class _UnitTerms:
-    """What an effect adds to y^(r) at one instant, for a unit of each of its gains."""
-
-    effect: AbstractTerm
-
-    def __call__(self, shape: Any, z: Any, row: tuple[Any, ...]) -> Any:
-        (t, level, rate, channel), state, inputs = row
-        at = At(t, level, rate, channel, z=z, state=state, inputs=inputs)
-        units = np.eye(len(self.effect.gains)).tolist()
-        return jnp.stack([jnp.asarray(self.effect.term(at, unit, [*shape])) for unit in units])
-
-
-@dataclass(frozen=True)
-class _Changed:
-    """What an effect makes of its input at one instant."""
-
-    effect: AbstractInputEffect
-
-    def __call__(self, shape: Any, signals: tuple[Any, ...]) -> Any:
-        t, level, rate, channel = signals
-        return jnp.asarray(self.effect.changed(At(t, level, rate, channel, None), shape))
 
 
 def _is_behind(effect: AbstractEffect) -> bool:
