@@ -23,7 +23,6 @@ import eoi_jax as eoi
 from benchmarks.measured.campaign_cases import Rig
 from benchmarks.measured.found_blind_cases import BLIND
 from benchmarks.measured.found_cooling_cases import COOLERS
-from benchmarks.measured.found_drive_cases import DRIVES
 from benchmarks.measured.found_driven_cases import DRIVEN
 from benchmarks.measured.found_flow_cases import FLOWS
 from benchmarks.measured.found_fresh_cases import FRESH
@@ -33,6 +32,7 @@ from benchmarks.measured.found_latest_cases import LATEST
 from benchmarks.measured.found_machine_cases import MACHINES
 from benchmarks.measured.found_mechanical_cases import MECHANICAL
 from benchmarks.measured.found_mixed_cases import MIXED
+from benchmarks.measured.found_motion_cases import MOTIONS
 from benchmarks.measured.found_newest_cases import NEWEST
 from benchmarks.measured.found_process_cases import PROCESS
 from benchmarks.measured.found_robot_cases import ROBOTS
@@ -423,6 +423,6 @@ FOUND: Mapping[str, FoundSet] = {
     **MACHINES,
     **FLOWS,
     **ROBOTS,
-    **DRIVES,
+    **MOTIONS,
     **COOLERS,
 }

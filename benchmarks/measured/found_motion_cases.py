@@ -152,7 +152,7 @@ def steered_car(folder: Path) -> Rig:
     )  # fmt: skip
 
 
-DRIVES: Mapping[str, FoundSet] = {
+MOTIONS: Mapping[str, FoundSet] = {
     "random_motor": FoundSet(
         random_motor,
         "motor_data.csv, five stretches about steps of the voltage (137.31 at 2 V to 193.63 at "
