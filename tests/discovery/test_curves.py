@@ -113,7 +113,11 @@ def test_a_curve_that_contradicts_what_the_injection_justifies_does_not_take_its
 ):
     """Dry friction with an offset (emps): a curve misses less, and leaves more of the injection."""
     shape = place(HEATER, InputCurve((-6.0, -4.0, -2.0, 2.0, 4.0, 6.0)), 0)
-    best = lambda search, *named: curves._fitted(search, search.base, shape)  # noqa: E731
+
+    def best(search, *others):
+        del others
+        return curves._fitted(search, search.base, shape)
+
     monkeypatch.setattr(curves, "_with_best_curve", best)
     monkeypatch.setattr(curves, "contradicts_injection", lambda *answers: contradicted)
     justified = replace(
