@@ -95,7 +95,7 @@ def record_to_pandas(record: Record) -> Any:
     import pandas as pd
 
     inputs = np.where(record.input_valid[:, None], record.inputs, np.nan)
-    values = np.hstack([inputs, np.where(record.output_valid, record.outputs, np.nan)])
+    values = np.hstack([inputs, record.known_outputs])
     columns = [*record.input_names, *record.output_names]
     frame = pd.DataFrame(values, index=pd.Index(record.time, name="time"), columns=columns)
     frame.attrs = {"units": dict(record.units), "name": record.name, "hold": record.hold}
@@ -184,7 +184,7 @@ def record_to_xarray(record: Record) -> Any:
     variables = {}
     for role, names, values in (
         ("input", record.input_names, np.where(record.input_valid[:, None], record.inputs, np.nan)),
-        ("output", record.output_names, np.where(record.output_valid, record.outputs, np.nan)),
+        ("output", record.output_names, record.known_outputs),
     ):
         for key, column in zip(names, values.T, strict=True):
             attributes = {"role": role, "units": record.units.get(key, "")}

@@ -269,8 +269,7 @@ class Record(Result):
         masks = self.valid[part], self.input_valid[part], self.output_valid[part]
         signals = self.inputs[part], self.outputs[part]
         new._set(*signals, masks, self.time[part], self.sample_period)
-        burn_in = max(self.burn_in - start * self.sample_period, 0.0)
-        new._assign({"burn_in": burn_in})
+        new._assign({"burn_in": max(self.burn_in - start * self.sample_period, 0.0)})
         return new
 
     def split(self, fraction: Real) -> tuple["Record", "Record"]:
@@ -586,6 +585,11 @@ class Record(Result):
         if self._output_valid is None:
             return np.repeat(self.valid[:, None], self.outputs.shape[1], axis=1)
         return self._output_valid
+
+    @property
+    def known_outputs(self) -> Outputs:
+        """Outputs, NaN where they were not measured (of a free run, not simulated), (N, ny)."""
+        return np.where(self.output_valid, self.outputs, np.nan)
 
     @property
     def output_periods(self) -> Float[np.ndarray, " ny"]:

@@ -45,7 +45,7 @@ def lost_on_held_out(answer: FreeRunAnswer) -> list[str]:
 
 def _ranges(records: Sequence[Record]) -> list[tuple[float, float]]:
     """Of each output, over all records."""
-    measured = [np.where(record.output_valid, record.outputs, np.nan) for record in records]
+    measured = [record.known_outputs for record in records]
     together = np.concatenate(measured)
     lows, highs = np.nanmin(together, axis=0), np.nanmax(together, axis=0)
     return list(zip(lows.tolist(), highs.tolist(), strict=True))

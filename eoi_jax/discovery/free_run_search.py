@@ -103,7 +103,7 @@ class FreeRunAnswer:
 
         Where the former hardly move, a constant describes them, whatever the model is.
         """
-        outputs = [np.where(one.output_valid, one.outputs, np.nan) for one in self.records]
+        outputs = [record.known_outputs for record in self.records]
         spread = np.nanstd(np.concatenate(outputs), axis=0)
         with np.errstate(divide="ignore", invalid="ignore"):
             return np.fmin(runs.nrmse, runs.rmse / spread)

@@ -430,8 +430,7 @@ def count_of(records: tuple[Record, ...]) -> int:
 
 def _reach(placed: Placed, records: tuple[Record, ...]) -> float:
     """Difference of the largest and smallest value of the output that an effect acts on."""
-    outputs = np.concatenate([np.where(record.output_valid, record.outputs, np.nan)
-                              for record in records])  # fmt: skip
+    outputs = np.concatenate([record.known_outputs for record in records])
     signal = outputs[:, placed.output]
     if placed.against is not None:
         signal = signal - outputs[:, placed.against]

@@ -262,7 +262,7 @@ def _samples(records: Sequence[Record], step: float) -> tuple[int, int]:
 def _moves(records: Sequence[Record], count: int, noise: Float[np.ndarray, " ny"]) -> bool:
     """Whether outputs move by more than their noise in windows of so many samples."""
     for record in records:
-        outputs = np.where(record.output_valid, record.outputs, np.nan)
+        outputs = record.known_outputs
         windows = [outputs[at : at + count] for at in range(0, len(outputs) - count + 1, count)]
         measured = [part for part in windows if np.all(np.any(np.isfinite(part), axis=0))]
         if not measured:

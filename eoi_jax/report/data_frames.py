@@ -237,14 +237,10 @@ def validation_dataset(result: Validation) -> Any:
         return dataset
     pairs = (("measured", result.records), ("simulated", result.predictions))
     signals = {
-        name: (_SAMPLES, np.concatenate([_measured(record) for record in records]))
+        name: (_SAMPLES, np.concatenate([record.known_outputs for record in records]))
         for name, records in pairs
     }
     return _over_samples(dataset.assign(signals), result.records, result.outputs)
-
-
-def _measured(record: Record) -> np.ndarray:
-    return np.where(record.output_valid, record.outputs, np.nan)
 
 
 def _over_samples(dataset: Any, records: Sequence[Record], outputs: Sequence[str]) -> Any:

@@ -43,11 +43,6 @@ class FreeRuns:
     measured: bool = True
 
 
-def simulated_outputs(prediction: Record) -> Float[np.ndarray, "time ny"]:
-    """Outputs of a free run, NaN where an unknown input interrupts it, (N, ny)."""
-    return np.where(prediction.output_valid, prediction.outputs, np.nan)
-
-
 def validation_runs(*results: tuple[Validation, str], record: int = 0) -> FreeRuns:
     """The free runs of one or several validations on the same records.
 
@@ -57,7 +52,7 @@ def validation_runs(*results: tuple[Validation, str], record: int = 0) -> FreeRu
     """
     last = results[-1][0]
     runs = tuple(
-        Run(simulated_outputs(result.predictions[record]), BASE + i, label)
+        Run(result.predictions[record].known_outputs, BASE + i, label)
         for i, (result, label) in enumerate(results)
     )
     measured = last.records[record] if last.records else None
@@ -141,7 +136,7 @@ def worst_window(
         None where no error is known, or where the window would be half of the record.
     """
     size = int(np.clip(round(duration / content.record.sample_period), fewest, most))
-    y = np.where(content.record.output_valid, content.record.outputs, np.nan)
+    y = content.record.known_outputs
     if not content.measured or 2 * size > len(y):
         return None
     valid = content.record.output_valid

@@ -6,7 +6,6 @@ from typing import NamedTuple
 import numpy as np
 
 from eoi_jax._checks import counted
-from eoi_jax.report.free_runs import simulated_outputs
 from eoi_jax.report.style import shortened
 from eoi_jax.report.tables import columns, validation_text
 from eoi_jax.simulation.residual_correlation import error_correlation
@@ -48,7 +47,7 @@ def largest_correlations(result: Validation) -> list[LargestCorrelation]:
     """
     rows = []
     for record, prediction in zip(result.records, result.predictions, strict=True):
-        outputs = simulated_outputs(prediction)
+        outputs = prediction.known_outputs
         for j, output in enumerate(result.outputs):
             for k in (None, *range(len(record.input_names))):
                 function, period = error_correlation(record, outputs, j, k)
