@@ -89,7 +89,8 @@ def with_curves(
             return discovery
         if not (beyond_noise(named.runs[1], judging) or _crowded(placed)):
             return discovery
-    best = _with_best_curve(search, named, discovery.status.code == "complete")
+    explained = discovery.status.code == "complete"
+    best = _with_best_curve(search, named, explained)
     # The answer may be of a fit that its own refinement does not come to.
     answers = mean_error(judge.runs(discovery.plant)) if discovery.added else np.inf
     if best is named or best.error > answers + _RULES.as_good:
@@ -100,7 +101,7 @@ def with_curves(
         return discovery
     answer = FreeRunAnswer.of(search, settled, declared.plant)
     found = answered(discovery, answer, (), lowpass)
-    if discovery.status.code == "complete" and contradicts_injection(found, discovery):
+    if found is discovery or (explained and contradicts_injection(found, discovery)):
         return discovery
     notes = dict.fromkeys((*found.notes, *_nearest_laws(answer.best)))
     return replace(found, ambiguous_with=(), advice="", notes=tuple(notes))

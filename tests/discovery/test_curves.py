@@ -107,9 +107,11 @@ def test_a_curve_is_told_where_some_parameter_of_it_is_known_to_half_its_value(r
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("contradicted", [False, True])
-def test_a_curve_that_contradicts_what_the_injection_justifies_does_not_take_its_place(
-    soft, monkeypatch, contradicted
+@pytest.mark.parametrize(
+    ("contradicted", "confirmed"), [(False, True), (True, True), (False, False)]
+)
+def test_a_curve_takes_the_place_of_an_answer_only_where_both_detectors_let_it(
+    soft, monkeypatch, contradicted, confirmed
 ):
     """Dry friction with an offset (emps): a curve misses less, and leaves more of the injection."""
     shape = place(HEATER, InputCurve((-6.0, -4.0, -2.0, 2.0, 4.0, 6.0)), 0)
@@ -120,12 +122,14 @@ def test_a_curve_that_contradicts_what_the_injection_justifies_does_not_take_its
 
     monkeypatch.setattr(curves, "_with_best_curve", best)
     monkeypatch.setattr(curves, "contradicts_injection", lambda *answers: contradicted)
+    if not confirmed:
+        monkeypatch.setattr(curves, "answered", lambda discovery, *others: discovery)
     justified = replace(
         soft, status=eoi.Status("complete", ""), effects=(), added=(),
         plant=soft.declared.plant, after=soft.before, windows_after=soft.windows_before,
     )  # fmt: skip
     answer = curves.with_curves(justified, (measured(softly, 1),), None)
-    assert (answer is justified) == contradicted
+    assert (answer is justified) == (contradicted or not confirmed)
 
 
 def at_input(u):
