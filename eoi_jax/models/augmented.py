@@ -33,7 +33,14 @@ from eoi_jax.models.effects.effect import (
 )
 from eoi_jax.models.effects.inputs import ActuatorLag, InputDelay
 from eoi_jax.models.parameters import parameter_type
-from eoi_jax.models.plant import Actuator, Dynamics, Plant, State, keeps_steps
+from eoi_jax.models.plant import (
+    Actuator,
+    Dynamics,
+    Plant,
+    State,
+    are_linear,
+    keeps_steps,
+)
 from eoi_jax.models.units import derivative_unit, quotient_unit
 from eoi_jax.models.velocities import velocity_rows
 
@@ -462,6 +469,15 @@ class _Actuator:
             if isinstance(placement.effect, AbstractActuator) and not placement.effect.keeps_steps
         }
         return tuple(flag and i not in smoothed for i, flag in enumerate(base))
+
+    def are_linear(self, count: int) -> tuple[bool, ...]:
+        """In which of the inputs it is linear."""
+        bent = {
+            placement.channel
+            for placement in self.placed
+            if isinstance(placement.effect, AbstractActuator) and not placement.effect.is_linear
+        }
+        return tuple(flag and i not in bent for i, flag in enumerate(are_linear(self.base, count)))
 
     @property
     def shapes(self) -> tuple[str, ...] | None:

@@ -533,6 +533,12 @@ def keeps_steps(actuator: Actuator | None, count: int) -> tuple[bool, ...]:
     return (actuator is None,) * count if known is None else known(count)
 
 
+def are_linear(actuator: Actuator | None, count: int) -> tuple[bool, ...]:
+    """In which of `count` inputs an actuator is linear; one of the user's is taken to be."""
+    known = getattr(actuator, "are_linear", None)
+    return (True,) * count if known is None else known(count)
+
+
 def _name_tuple(kind: str, names: Any) -> tuple[str, ...]:
     """The names as a tuple; a single name may be a string."""
     name_list = (names,) if isinstance(names, str) else names

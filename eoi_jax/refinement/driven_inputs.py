@@ -94,10 +94,10 @@ def driven_on_host(
             return inputs_of_all(_with(theta, i, value), levels)
 
         slope[..., column] = _difference(moved, theta[i], record_drives)
-    settled = np.zeros_like(levels)
-    unmoved = inputs_of_all(theta, settled)
-    risen = np.stack([inputs_of_all(theta, _with(settled, (slice(None), j), 1.0)) - unmoved
-                      for j in range(levels.shape[1])], axis=-1)  # fmt: skip
+    changes, columns = _changes(record_drives), []
+    for column, change in enumerate(changes):
+        columns.append(_with_level(lambda past: inputs_of_all(theta, past), levels, column, change))
+    risen = np.stack(columns, axis=-1)
     past = np.zeros((*places.shape, *risen.shape[1:]))
     past[leaders] = risen[places[leaders]]
     return DrivenInputs(inputs[places], slope[places], past)
@@ -107,6 +107,28 @@ def _with(array: np.ndarray, place: Any, value: Any) -> np.ndarray:
     changed = np.array(array, dtype=float)
     changed[place] = value
     return changed
+
+
+def _changes(record_drives: Sequence[Drive], share: float = 0.1) -> Float[np.ndarray, " nu"]:
+    """Changes of the levels of the inputs for differences: a `share` of their range; 1 without one.
+
+    A limit of the rate makes up for a small one within a step, and has no derivative there.
+    """
+    each = [np.asarray(part.inputs).reshape(-1, part.inputs.shape[-1]) for part in record_drives]
+    ranges = share * np.ptp(np.concatenate(each), axis=0)
+    return np.where(ranges > 0.0, ranges, 1.0)
+
+
+def _with_level(
+    function: Callable[[np.ndarray], np.ndarray],
+    levels: Float[np.ndarray, "segments nu"],
+    column: int,
+    change: float,
+) -> np.ndarray:
+    """Derivative with the level of one input before each segment, by a central difference."""
+    place = slice(None), column
+    above, below = (_with(levels, place, levels[place] + step) for step in (change, -change))
+    return (function(above) - function(below)) / (2.0 * change)
 
 
 def _difference(

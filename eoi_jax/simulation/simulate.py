@@ -32,7 +32,7 @@ from eoi_jax.data.record import Record
 from eoi_jax.data.resampling import acting_inputs, inputs_within_steps
 from eoi_jax.models.jacobians import has_sampled_actuator
 from eoi_jax.models.known_starts import start_by_name
-from eoi_jax.models.plant import Plant, State, keeps_steps
+from eoi_jax.models.plant import Plant, State, are_linear, keeps_steps
 from eoi_jax.simulation.chained_runs import outputs_of
 from eoi_jax.simulation.integrator import (
     Drive,
@@ -293,20 +293,21 @@ def parabolas(
 def past_slopes(plant: Plant, driven_by: Drive) -> Float[np.ndarray, "steps 3 nu past"]:
     """How the inputs of `acted` change with the levels of all inputs before the record.
 
-    Delays and lags are linear: the slopes are the same at any level.
+    Delays and lags are linear: the slopes are the same at any level. A limit of the rate has none:
+    a small step is made up for at once, and says nothing of a large one.
 
     Args:
         plant: at its parameters.
         driven_by: of a whole record; no past of inputs matters without an actuator.
     """
+    linear = np.asarray(are_linear(plant.actuator, len(plant.inputs)))
     if not has_sampled_actuator(plant):
-        return np.asarray(_past_slopes(plant, jnp.asarray(plant.theta), driven_by))
+        return linear * np.asarray(_past_slopes(plant, jnp.asarray(plant.theta), driven_by))
     theta, levels = np.asarray(plant.theta), np.eye(len(plant.inputs))
     settled = actuated_on_host(plant, theta, driven_by, 0.0 * levels[0])
     moved = [actuated_on_host(plant, theta, driven_by, level) for level in levels]
-    return (
-        np.stack(moved, axis=-1)[: len(driven_by.time)] - settled[: len(driven_by.time), ..., None]
-    )
+    risen = np.stack(moved, axis=-1) - settled[..., None]
+    return linear * risen[: len(driven_by.time)]
 
 
 @jit

@@ -4,8 +4,11 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from scipy.integrate import solve_ivp
 
 import eoi_jax as eoi
+from eoi_jax.models.augmented import augmented, place
+from eoi_jax.models.effects import RateLimit
 from eoi_jax.models.equations.text_model import plant_from_text
 from eoi_jax.refinement.problem import kernel_of
 from eoi_jax.simulation.simulate import acted, actuated, actuated_on_host, drive, past_slopes
@@ -95,3 +98,57 @@ def test_numpy_gives_the_inputs_behind_actuators_and_their_slopes_as_jax_does():
     np.testing.assert_allclose(inputs, actuated(plant, theta, driven_by), rtol=1e-12, atol=1e-12)
     wanted = jax.jacfwd(behind)(level)
     np.testing.assert_allclose(past_slopes(plant, driven_by), wanted, atol=1e-12)
+
+
+OMEGA, ZETA, LIMIT = 12.0, 0.7, 2.0
+
+
+def _servo(t, x, u, p):
+    del t
+    return p.omega**2 * (u - x.y[0]) - 2.0 * p.zeta * p.omega * x.y[1]
+
+
+def _ramped_steps(seed):
+    """A servo whose target, in steps of random height, is ramped at `LIMIT` by its controller.
+
+    The first step comes within the first sample: the mean of the input there is neither level.
+    """
+    random, period, each = np.random.default_rng(seed), 0.02, 40
+    heights = np.append(1.2, random.uniform(-1.5, 1.5, 7))
+    instants = each * period * np.arange(len(heights)) + 0.4 * period * np.eye(len(heights))[0]
+    targets, ramps = [], [(0.0, 0.0, 0.0)]
+    for instant, height in zip(instants, heights, strict=True):
+        start, begin, end = ramps[-1]
+        reached = begin + np.clip(end - begin, *(np.array([-1.0, 1.0]) * LIMIT * (instant - start)))
+        ramps.append((instant, reached, height))
+
+    def target(t):
+        start, begin, end = next(ramp for ramp in ramps[::-1] if ramp[0] <= t)
+        return begin + np.clip(end - begin, -LIMIT * (t - start), LIMIT * (t - start))
+
+    def rates(t, x):
+        return [x[1], OMEGA**2 * (target(t) - x[0]) - 2.0 * ZETA * OMEGA * x[1]]
+
+    time = period * np.arange(each * len(heights))
+    run = solve_ivp(rates, (0.0, time[-1]), [0.0, 0.0], t_eval=time, max_step=period, rtol=1e-8)
+    for t in time:
+        parts = np.append(t + period * (np.arange(50) + 0.5) / 50, t + period)[:-1]
+        levels = np.concatenate([[0.0], heights])[np.searchsorted(instants, parts, side="right")]
+        targets.append(np.mean(levels))
+    y = run.y[0] + 1e-3 * random.standard_normal(len(time))
+    return eoi.Record(time, targets, y, hold="zero", input_names=("u",), output_names=("y",))
+
+
+@pytest.mark.parametrize("nominal", [6.0, 12.0, 20.0])
+def test_level_before_a_limit_of_the_rate_is_no_extrapolation(nominal):
+    """Extrapolated from a unit of it, levels of thousands and speeds to match fitted the head."""
+    plant = eoi.Plant(_servo, {"omega": nominal, "zeta": ZETA}, 2, ("u",), ("y",))
+    at = place(plant, RateLimit(), 0)
+    plant = augmented(plant, (at,), {at.names[0]: 2.5})
+    record = _ramped_steps(1)[:120]
+    driven_by = drive(np.asarray(record.time), np.asarray(record.inputs), "zero")
+    assert not np.any(past_slopes(plant, driven_by))
+    refined = eoi.refine(plant, record)
+    assert refined.status.code == "converged"
+    assert refined.parameters["rate_limit"] == pytest.approx(LIMIT, rel=2e-3)
+    assert refined.parameters["omega"] == pytest.approx(OMEGA, rel=2e-3)

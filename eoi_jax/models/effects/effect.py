@@ -312,6 +312,8 @@ class AbstractActuator(AbstractEffect):
     Attributes:
         keeps_steps: whether a held input comes out held, as from a delay; else as a continuous one.
         keeps_inputs: whether its memory is past inputs alone, whatever the shape; else it follows.
+        is_linear: whether it is linear in its input, near enough: what a unit of the level before a
+            record changes then tells what any level does.
         has_driver: whether the past of an input drives it: `along` and `sampled` then get two
             columns, shape (S, 2), the input that it acts on and its driver.
         drives_itself: whether its driver may be the input that it acts on.
@@ -319,6 +321,7 @@ class AbstractActuator(AbstractEffect):
 
     keeps_steps: ClassVar[bool] = False
     keeps_inputs: ClassVar[bool] = False
+    is_linear: ClassVar[bool] = True
     has_driver: ClassVar[bool] = False
     drives_itself: bool = False
 

@@ -372,6 +372,7 @@ class RateLimit(AbstractActuator):
     shapes = (Parameter("", "{u}/s", lower=0.0),)
     depends_on = "t"
     only_in_free_runs = True
+    is_linear = False
 
     def shows(self, seen: Seen) -> bool:
         return bool(np.ptp(seen.u))
