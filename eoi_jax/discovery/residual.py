@@ -5,6 +5,8 @@ known up to its size. It is not white. With the model linearised along the recor
 
     e = F[n^(r) - Σ_m (∂f/∂y^(m)) n^(m)],        spectrum |F|² |(iω)^r - Σ_m a_m (iω)^m|² σ² h
 
+less what n does to internal states, which the measured outputs drive (`through_internal`).
+
 Differentiated r times, white noise is negatively correlated (its spectrum rises as ω^2r), and F
 correlates neighbouring samples. Two samples per half period of the cut-off (a step of π/2ω_c) are
 kept.
@@ -15,7 +17,7 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Complex, Float, Int
 
 from eoi_jax.compiler.pointwise import along
 from eoi_jax.data.record import Record
@@ -27,7 +29,7 @@ from eoi_jax.estimation.lowpass import DiscreteFilter
 from eoi_jax.estimation.preparation import at_samples, prepare_steps, step_inputs
 from eoi_jax.estimation.regression.noise_autocorrelation import ORDER
 from eoi_jax.estimation.within_samples import resampled
-from eoi_jax.models.jacobians import driven, state_slopes
+from eoi_jax.models.jacobians import driven, state_slopes, through_internal
 from eoi_jax.models.plant import Plant, State
 
 PerOutput = Float[np.ndarray, " ny"]
@@ -82,11 +84,15 @@ def views_of(identification: Identification) -> tuple[list[View], PerOutput]:
         h = record.sample_period
         thin = max(round(0.5 * np.pi / (lowpass.cutoff * h)), 1)
         time, states, inputs = _measured_signals(plant, record)
+        gain = _gain(lowpass, record, substeps, thin)
+        # An internal resonance rings no longer than the record.
+        s = gain.derivative + 1.0 / (h * len(record))
         null, samples_per_independent = _null_covariance(
             _noise_moments(plant, time, states, inputs),
+            through_internal(plant, time, states, inputs, s),
             # Samples that are further apart have as much noise in a narrower band.
             raw_noise(plant, record) * np.sqrt(record.output_periods / h),
-            _gain(lowpass, record, substeps, thin),
+            gain,
             thin,
         )
         flat = np.concatenate([*_state_columns(plant, states), inputs], axis=1)
@@ -229,8 +235,8 @@ def _noise_moments(
     time: Float[np.ndarray, " steps"],
     states: Float[np.ndarray, "steps r ny"],
     inputs: Float[np.ndarray, "steps nu"],
-) -> Float[np.ndarray, "ny ny r1 r1"]:
-    """Mean of c cᵀ, where Σ_m c_m n^(m) is the contribution of noise n in output j to residual i.
+) -> tuple[Float[np.ndarray, "ny ny r1"], Float[np.ndarray, "ny ny r1 r1"]]:
+    """Means of c and of c cᵀ, where Σ_m c_m n^(m) is what noise n in output j adds to residual i.
 
     c is one at the degree of output i = j, minus ∂f_i/∂y_j^(m); averaged over up to 400 samples.
     """
@@ -240,7 +246,7 @@ def _noise_moments(
     c = np.zeros((len(picked), ny, ny, r + 1))
     c[..., :r] = -np.swapaxes(np.nan_to_num(slopes, posinf=0.0, neginf=0.0), 2, 3)
     c[:, np.arange(ny), np.arange(ny), np.asarray(plant.degrees)] += 1.0
-    return np.mean(c[..., :, None] * c[..., None, :], axis=0)
+    return np.mean(c, axis=0), np.mean(c[..., :, None] * c[..., None, :], axis=0)
 
 
 class _Gain(NamedTuple):
@@ -267,15 +273,29 @@ def _gain(lowpass: Any, record: Record, substeps: int, thin: int) -> _Gain:
 
 
 def _null_covariance(
-    moments: Float[np.ndarray, "ny ny r1 r1"], noise: PerOutput, gain: _Gain, thin: int
+    moments: tuple[Float[np.ndarray, "ny ny r1"], Float[np.ndarray, "ny ny r1 r1"]],
+    internal: Complex[np.ndarray, "frequencies ny ny"],
+    noise: PerOutput,
+    gain: _Gain,
+    thin: int,
 ) -> tuple[Float[np.ndarray, "ny lags"], PerOutput]:
     """Autocovariance of the residual due to white noise, at thinned lags 0 … `ORDER`.
 
     Also the number of samples per independent sample in the mean square, Σ_k (R_k / R_0)².
+
+    Args:
+        moments: of `_noise_moments`.
+        internal: what the model takes from each output through its internal states.
+        noise: standard deviation in each output.
+        gain: of the derivatives and the filter.
+        thin: samples per lag.
     """
-    mixed = np.einsum("ijab,j->iab", moments, noise**2)
-    powers = gain.derivative[:, None] ** np.arange(moments.shape[-1])
-    density = np.einsum("wa,iab,wb->iw", powers.conj(), mixed, powers).real * gain.power
+    mean, square = moments
+    powers = gain.derivative[:, None] ** np.arange(mean.shape[-1])
+    direct = np.einsum("wa,ija->wij", powers, mean)
+    parts = np.einsum("wa,ijab,wb->wij", powers.conj(), square, powers).real
+    parts += np.abs(internal) ** 2 - 2.0 * (direct.conj() * internal).real
+    density = np.einsum("wij,j->iw", parts, noise**2) * gain.power
     covariance = np.fft.irfft(np.maximum(density, 0.0), axis=1)
     zero = np.maximum(covariance[:, :1], np.finfo(float).tiny)
     samples = np.sum((covariance / zero) ** 2, axis=1)

@@ -5,7 +5,7 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Bool, Float
+from jaxtyping import Array, Bool, Complex, Float
 
 from eoi_jax.compiler.pointwise import along
 from eoi_jax.compiler.programs import jit
@@ -40,6 +40,36 @@ def input_slopes(
     """∂f/∂u_i at every instant, for the inputs behind the actuator; arguments as above."""
     rows = (time, y, driven(plant, time, u))
     return along(_input_slope, ("fixed", "rows"), plant, rows)[..., i]
+
+
+def through_internal(
+    plant: Plant, time: Values, y: Values, u: Values, s: Complex[np.ndarray, " frequencies"]
+) -> Complex[np.ndarray, "frequencies ny ny"]:
+    r"""What enters f from each output through the internal states: ∂f/∂z (sI - ∂g/∂z)⁻¹ ∂g/∂y.
+
+    g is the rate of the internal states, which the measured outputs drive; the slopes are means
+    along the record, at their initial values.
+
+    Args:
+        plant: as of `derivatives`, like the next three.
+        time: (S,) [s].
+        y: outputs and their derivatives, (S, r, ny).
+        u: inputs before any actuator, (S, nu).
+        s: frequencies, of the derivative as it is formed [1/s].
+
+    Returns:
+        At each frequency, in equation i from output k; zeros without internal states.
+    """
+    if plant.internal is None:
+        return np.zeros((len(s), len(plant.outputs), len(plant.outputs)), dtype=complex)
+    rows = (time, y, driven(plant, time, u))
+    slopes = along(_internal_slopes, ("fixed", "rows"), plant, rows)
+    by_state, own, by_output = (
+        np.mean(np.nan_to_num(np.asarray(part), posinf=0.0, neginf=0.0), axis=0) for part in slopes
+    )
+    powers = s[:, None] ** np.arange(by_output.shape[1])
+    entering = np.einsum("wm,zmk->wzk", powers, by_output)
+    return by_state @ np.linalg.solve(s[:, None, None] * np.eye(len(own)) - own, entering)
 
 
 def slopes_behind(
@@ -114,6 +144,19 @@ def _state_slope(plant: Plant, row: tuple[Any, ...]) -> Any:
     t, y, u = row
     slope = jax.jacfwd(lambda y: plant.derivative(t, _state(plant, y), u, jnp.asarray(plant.theta)))
     return slope(y)
+
+
+def _internal_slopes(plant: Plant, row: tuple[Any, ...]) -> Any:
+    """∂f/∂z, ∂g/∂z and ∂g/∂y with the derivatives of y."""
+    t, y, u = row
+    theta = jnp.asarray(plant.theta)
+
+    def rate(y: Any, z: Any) -> Any:
+        return plant.internal_rate(t, State(y, z), u, theta)
+
+    z = plant.internal_start(theta)
+    by_state = jax.jacfwd(lambda z: plant.derivative(t, State(y, z), u, theta))(z)
+    return by_state, jax.jacfwd(rate, 1)(y, z), jax.jacfwd(rate)(y, z)
 
 
 def _input_slope(plant: Plant, row: tuple[Any, ...]) -> Any:

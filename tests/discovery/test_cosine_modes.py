@@ -42,6 +42,23 @@ PENDULUM = eoi.Plant(pendulum, {"a": 30.0, "b": 0.8, "d": 20.0}, relative_degree
 ROUGH = eoi.Plant(rough, {"b": 2.0, "c": 1.0}, relative_degree=2)
 
 
+def motor(t, x, u, p):
+    twist, load = x.z
+    return p.b * u - p.c * x.y[0] - p.k * twist - p.d * (x.y[0] - load)
+
+
+def shaft(t, x, u, p):
+    """Twist, and the speed of a load that is not measured: resonant, driven by the motor."""
+    (speed,), (twist, load) = x.y[0], x.z
+    return jnp.stack([speed - load, p.r * (p.k * twist + p.d * (speed - load))])
+
+
+DRIVE = eoi.Plant(
+    motor, {"b": 30.0, "c": 1.0, "k": 100.0, "d": 0.3, "r": 2.0}, relative_degree=1,
+    internal=shaft, internal_initial=(0.0, 0.0),
+)  # fmt: skip
+
+
 def size(one: ModalRecord, errors: np.ndarray) -> float:
     """Of what the model leaves, over y^(r), both rms."""
     whole = np.concatenate([one.rows(part) for part in one.highest])
@@ -158,6 +175,7 @@ NOISY = {
     "mass with rests": (MASS.with_parameters({"c": 8.0}), 3.0 * RESTING),
     "pendulum": (PENDULUM, 0.6 * MOVING),
     "pendulum with rests": (PENDULUM.with_parameters({"b": 6.0}), 0.6 * RESTING),
+    "motor behind whose shaft a load swings": (DRIVE, 0.5 * MOVING),
 }
 
 
@@ -195,6 +213,22 @@ def test_noise_in_each_mode_is_predicted(case: str, share: float, tolerance: flo
     if "rests" in case:
         assert np.mean(several[0].weight[0]) < 0.5
     assert np.mean(ratios) == pytest.approx(1.0, abs=tolerance)
+
+
+def test_noise_that_an_internal_resonance_takes_up_is_predicted():
+    """The measured speed drives the twist: noise rings at the antiresonance of the drive."""
+    plant, several = stretches("motor behind whose shaft a load swings", 1e-2)
+    resonance = np.sqrt(plant.parameters["r"] * plant.parameters["k"])
+    omega, noise = several[0].omega, several[0].noise[:, 0]
+    near, below = np.abs(omega - resonance) < 1.0, omega < 0.7 * resonance
+    ratios = [model_rows(plant, [one])[0][0] ** 2 / one.noise[:, 0] for one in several]
+    for modes in (near, below):
+        assert np.mean(np.asarray(ratios)[:, modes]) == pytest.approx(1.0, abs=0.3)
+    # Of the speed alone, without the shaft, it would be as in the neighbourhood.
+    direct = omega**2 * np.mean(
+        noise[omega > 2.5 * resonance] / omega[omega > 2.5 * resonance] ** 2
+    )
+    assert np.mean(noise[near] / direct[near]) > 30.0
 
 
 @pytest.mark.parametrize("share", [1e-4, 1e-3])
