@@ -41,7 +41,7 @@ from eoi_jax.discovery.thinning import averaged, averaged_and_thinned, averaging
 from eoi_jax.estimation.defaults import output_noise, velocity_noise
 from eoi_jax.estimation.preparation import entering
 from eoi_jax.estimation.within_samples import resampled
-from eoi_jax.models.jacobians import Values, state_slopes, through_internal
+from eoi_jax.models.jacobians import Values, internal_response, state_slopes
 from eoi_jax.models.plant import Plant, State
 from eoi_jax.simulation.runge_kutta import middle_of_step, runge_kutta_step
 
@@ -162,7 +162,7 @@ def modal_record(plant: Plant, record: Record, band: float) -> ModalRecord:
     h = raw.sample_period
     time, y, u = raw.time[:-1] + 0.5 * h, _states(plant, smooth), raw.midpoint_inputs()
     slopes = state_slopes(plant, time, y, u)
-    through = partial(through_internal, plant, time, y, u)
+    internal = partial(internal_response, plant, time, y, u)
     noise = velocity_noise(plant.degrees, record, cutoff or False)
     good = _usable(plant, raw, smooth, noise, band, entering(plant, [raw], [u]))
     weight = _weights(plant, record, smooth, good, h, band)
@@ -193,7 +193,7 @@ def modal_record(plant: Plant, record: Record, band: float) -> ModalRecord:
         h,
         omega,
         indices,
-        _noise(plant, record, np.asarray(slopes), through, h, weight, omega, len(kernel)),
+        _noise(plant, record, np.asarray(slopes), internal, h, weight, omega, len(kernel)),
         smoothed.noise,
         h * len(raw),
         record.sample_period,
@@ -342,7 +342,7 @@ def _noise(
     plant: Plant,
     record: Record,
     slopes: Float[np.ndarray, "S ny r ny"],
-    through: Callable[[np.ndarray], np.ndarray],
+    internal: Callable[[np.ndarray], np.ndarray],
     h: float,
     weight: tuple[np.ndarray, ...],
     omega: np.ndarray,
@@ -357,7 +357,7 @@ def _noise(
     gain = np.sinc(omega * factor * h / (2.0 * np.pi)) ** 8
     slopes = np.where(np.isfinite(slopes), slopes, 0.0)
     s = 1j * 2.0 * np.sin(0.5 * omega * h) / h
-    behind = through(s + 1.0 / (h * len(slopes)))
+    ringing = internal(s + 1.0 / (h * len(slopes)))
     noise, sigma = np.zeros((len(omega), len(plant.outputs))), output_noise(plant, record)
     for j, degree in enumerate(plant.degrees):
         for k in range(len(plant.outputs)):
@@ -365,7 +365,7 @@ def _noise(
             mean, scatter = slopes[:, j, :, k].mean(axis=0), slopes[:, j, :, k].var(axis=0)
             derivative = s**degree if j == k else 0.0 * s
             filtered = derivative - sum(mean[m] * s**m for m in range(len(mean)))
-            filtered = filtered - behind[:, j, k]
+            filtered = filtered - ringing[:, j, k]
             spread = sum(scatter[m] * np.abs(s) ** (2 * m) for m in range(len(mean)))
             noise[:, j] += density * (np.abs(filtered) ** 2 + spread)
         noise[:, j] *= np.mean(weight[j] ** 2)

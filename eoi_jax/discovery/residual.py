@@ -5,7 +5,7 @@ known up to its size. It is not white. With the model linearised along the recor
 
     e = F[n^(r) - Σ_m (∂f/∂y^(m)) n^(m)],        spectrum |F|² |(iω)^r - Σ_m a_m (iω)^m|² σ² h
 
-less what n does to internal states, which the measured outputs drive (`through_internal`).
+less what n does to internal states, which the measured outputs drive (`internal_response`).
 
 Differentiated r times, white noise is negatively correlated (its spectrum rises as ω^2r), and F
 correlates neighbouring samples. Two samples per half period of the cut-off (a step of π/2ω_c) are
@@ -29,7 +29,7 @@ from eoi_jax.estimation.lowpass import DiscreteFilter
 from eoi_jax.estimation.preparation import at_samples, prepare_steps, step_inputs
 from eoi_jax.estimation.regression.noise_autocorrelation import ORDER
 from eoi_jax.estimation.within_samples import resampled
-from eoi_jax.models.jacobians import driven, state_slopes, through_internal
+from eoi_jax.models.jacobians import driven, internal_response, state_slopes
 from eoi_jax.models.plant import Plant, State
 
 PerOutput = Float[np.ndarray, " ny"]
@@ -89,7 +89,7 @@ def views_of(identification: Identification) -> tuple[list[View], PerOutput]:
         s = gain.derivative + 1.0 / (h * len(record))
         null, samples_per_independent = _null_covariance(
             _noise_moments(plant, time, states, inputs),
-            through_internal(plant, time, states, inputs, s),
+            internal_response(plant, time, states, inputs, s),
             # Samples that are further apart have as much noise in a narrower band.
             raw_noise(plant, record) * np.sqrt(record.output_periods / h),
             gain,

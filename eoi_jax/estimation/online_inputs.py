@@ -20,9 +20,10 @@ import numpy as np
 from jaxtyping import Array, Bool, Float
 
 from eoi_jax._checks import check
+from eoi_jax.models.actuators import keeps_steps
 from eoi_jax.models.augmented import actuator_effects
 from eoi_jax.models.effects.effect import AbstractActuator
-from eoi_jax.models.plant import Plant, keeps_steps
+from eoi_jax.models.plant import Plant
 
 
 @dataclass(frozen=True)

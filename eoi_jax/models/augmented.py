@@ -19,6 +19,7 @@ from jaxtyping import Float
 
 from eoi_jax._checks import check
 from eoi_jax._types import WHERE_SET
+from eoi_jax.models.actuators import are_linear, keeps_steps
 from eoi_jax.models.cascade import Cascade, Stage
 from eoi_jax.models.effects.effect import (
     INPUT_EFFECTS,
@@ -33,14 +34,7 @@ from eoi_jax.models.effects.effect import (
 )
 from eoi_jax.models.effects.inputs import ActuatorLag, InputDelay
 from eoi_jax.models.parameters import parameter_type
-from eoi_jax.models.plant import (
-    Actuator,
-    Dynamics,
-    Plant,
-    State,
-    are_linear,
-    keeps_steps,
-)
+from eoi_jax.models.plant import Actuator, Dynamics, Plant, State
 from eoi_jax.models.units import derivative_unit, quotient_unit
 from eoi_jax.models.velocities import velocity_rows
 

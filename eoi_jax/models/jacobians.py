@@ -42,7 +42,7 @@ def input_slopes(
     return along(_input_slope, ("fixed", "rows"), plant, rows)[..., i]
 
 
-def through_internal(
+def internal_response(
     plant: Plant, time: Values, y: Values, u: Values, s: Complex[np.ndarray, " frequencies"]
 ) -> Complex[np.ndarray, "frequencies ny ny"]:
     r"""What enters f from each output through the internal states: ∂f/∂z (sI - ∂g/∂z)⁻¹ ∂g/∂y.
@@ -64,12 +64,12 @@ def through_internal(
         return np.zeros((len(s), len(plant.outputs), len(plant.outputs)), dtype=complex)
     rows = (time, y, driven(plant, time, u))
     slopes = along(_internal_slopes, ("fixed", "rows"), plant, rows)
-    by_state, own, by_output = (
+    by_state, free, by_output = (
         np.mean(np.nan_to_num(np.asarray(part), posinf=0.0, neginf=0.0), axis=0) for part in slopes
     )
     powers = s[:, None] ** np.arange(by_output.shape[1])
     entering = np.einsum("wm,zmk->wzk", powers, by_output)
-    return by_state @ np.linalg.solve(s[:, None, None] * np.eye(len(own)) - own, entering)
+    return by_state @ np.linalg.solve(s[:, None, None] * np.eye(len(free)) - free, entering)
 
 
 def slopes_behind(

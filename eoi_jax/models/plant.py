@@ -23,6 +23,7 @@ from eoi_jax._display import text
 from eoi_jax._types import WHERE_SET, Input, Output, Regressor, Scalar
 from eoi_jax.compiler.jax_private import Tracer, inputs_read
 from eoi_jax.compiler.pointwise import along
+from eoi_jax.models.actuators import keeps_steps
 from eoi_jax.models.algebraic_outputs import apart, check_algebraic
 from eoi_jax.models.captured_values import with_present_values
 from eoi_jax.models.kinds import checked_kinds, kind_of
@@ -525,18 +526,6 @@ class Plant(eqx.Module):
         t, y, u, theta = (jnp.asarray(part[::8]) for part in _probes(self))
         z = jax.vmap(self.internal_start)(theta)
         check_algebraic(self.outputs, self.algebraic, jax.vmap(evaluate), (t, y, z, u, theta))
-
-
-def keeps_steps(actuator: Actuator | None, count: int) -> tuple[bool, ...]:
-    """Which of `count` inputs come out of an actuator held if they were; None keeps them all."""
-    known = getattr(actuator, "keeps_steps", None)
-    return (actuator is None,) * count if known is None else known(count)
-
-
-def are_linear(actuator: Actuator | None, count: int) -> tuple[bool, ...]:
-    """In which of `count` inputs an actuator is linear; one of the user's is taken to be."""
-    known = getattr(actuator, "are_linear", None)
-    return (True,) * count if known is None else known(count)
 
 
 def _name_tuple(kind: str, names: Any) -> tuple[str, ...]:

@@ -114,8 +114,8 @@ def _changes(record_drives: Sequence[Drive], share: float = 0.1) -> Float[np.nda
 
     A limit of the rate makes up for a small one within a step, and has no derivative there.
     """
-    each = [np.asarray(part.inputs).reshape(-1, part.inputs.shape[-1]) for part in record_drives]
-    ranges = share * np.ptp(np.concatenate(each), axis=0)
+    inputs = [np.asarray(part.inputs).reshape(-1, part.inputs.shape[-1]) for part in record_drives]
+    ranges = share * np.ptp(np.concatenate(inputs), axis=0)
     return np.where(ranges > 0.0, ranges, 1.0)
 
 
@@ -127,8 +127,8 @@ def _with_level(
 ) -> np.ndarray:
     """Derivative with the level of one input before each segment, by a central difference."""
     place = slice(None), column
-    above, below = (_with(levels, place, levels[place] + step) for step in (change, -change))
-    return (function(above) - function(below)) / (2.0 * change)
+    high, low = (_with(levels, place, levels[place] + step) for step in (change, -change))
+    return (function(high) - function(low)) / (2.0 * change)
 
 
 def _difference(

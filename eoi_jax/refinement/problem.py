@@ -19,7 +19,8 @@ from jaxtyping import Array, Bool, Float, Int
 from eoi_jax._status import NATIVE, EngineUsed
 from eoi_jax.data.record import Record
 from eoi_jax.data.windows import start_samples
-from eoi_jax.models.plant import Plant, are_linear
+from eoi_jax.models.actuators import are_linear
+from eoi_jax.models.plant import Plant
 from eoi_jax.models.step_scales import StepScales, step_scales
 from eoi_jax.refinement.driven_inputs import DrivenInputs, driven_inputs, driven_on_host
 from eoi_jax.refinement.spans import Span, starts_record

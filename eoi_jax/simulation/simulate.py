@@ -30,9 +30,10 @@ from eoi_jax.data.input_holds import (
 )
 from eoi_jax.data.record import Record
 from eoi_jax.data.resampling import acting_inputs, inputs_within_steps
+from eoi_jax.models.actuators import are_linear, keeps_steps
 from eoi_jax.models.jacobians import has_sampled_actuator
 from eoi_jax.models.known_starts import start_by_name
-from eoi_jax.models.plant import Plant, State, are_linear, keeps_steps
+from eoi_jax.models.plant import Plant, State
 from eoi_jax.simulation.chained_runs import outputs_of
 from eoi_jax.simulation.integrator import (
     Drive,
