@@ -12,6 +12,7 @@ from eoi_jax.data.cleaning import numbered_names
 from eoi_jax.data.record import Record
 from eoi_jax.models.angles import check_angles
 from eoi_jax.models.plant import Plant
+from eoi_jax.models.units import same_unit
 
 
 def check_records(plant: Plant, records: Record | Sequence[Record]) -> tuple[Record, ...]:
@@ -62,7 +63,7 @@ def check_records(plant: Plant, records: Record | Sequence[Record]) -> tuple[Rec
             for name, label in zip(names, labels, strict=True):
                 unit, expected = record.units.get(label), plant.units.get(name)
                 check(
-                    unit is None or expected is None or unit == expected,
+                    unit is None or expected is None or same_unit(unit, expected),
                     f"records[{record.name}].{kind}[{label}]",
                     f"must be in the plant's unit for `{name}`, {expected!r}",
                     repr(unit),

@@ -220,6 +220,17 @@ def test_names_of_ones_own_are_accepted_in_any_order():
     assert check_records(plant, own) == (own,)
 
 
+def test_a_unit_may_be_spelled_in_another_way():
+    plant = Plant(
+        lambda t, x, u, p: p.a * u[0], {"a": 1.0}, 2, ("u",), ("y",), units={"u": "N m", "y": "µm"}
+    )
+    sway = SWAY(grid(20, H))
+    record = Record.from_period(
+        H, sway, sway, units={"u": "N·m", "y": "\N{GREEK SMALL LETTER MU}m"}
+    )
+    assert check_records(plant, record) == (record,)
+
+
 def test_inputs_and_outputs_must_not_have_changed_places():
     plant = Plant(lambda t, x, u, p: p.a * u[0], {"a": 1.0}, 1, ("torque",), ("speed",))
     sway = SWAY(grid(20, H))
