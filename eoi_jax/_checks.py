@@ -213,6 +213,17 @@ def timed(number: Whole, period: float, noun: str = "sample") -> str:
     return f"{counted(number, noun)} ({number * period:.5g} s)"
 
 
+def percent(share: float, digits: int = 2) -> str:
+    """A share with the sign of percent and no power of ten: ``5.3 %``, ``100 %``, ``833 %``.
+
+    Args:
+        share: 1 for all.
+        digits: that count, of a number that is not longer.
+    """
+    number = f"{100.0 * share:.{digits}g}"
+    return f"{100.0 * share:.0f} %" if "e+" in number else f"{number} %"
+
+
 def is_or_are(number: Whole) -> str:
     """The verb behind a number of things."""
     return "is" if number == 1 else "are"

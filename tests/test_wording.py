@@ -2,7 +2,7 @@
 
 import pytest
 
-from eoi_jax._checks import counted, is_or_are, timed
+from eoi_jax._checks import counted, is_or_are, percent, timed
 
 
 @pytest.mark.parametrize(
@@ -26,3 +26,20 @@ def test_samples_come_with_their_time():
 
 def test_the_verb_follows_the_number():
     assert [is_or_are(number) for number in (0, 1, 2)] == ["are", "is", "are"]
+
+
+@pytest.mark.parametrize(
+    ("share", "text"),
+    [(0.0534, "5.3 %"), (0.0012, "0.12 %"), (0.994, "99 %"), (0.999, "100 %"), (1.0, "100 %"),
+     (8.334, "833 %"), (0.0, "0 %"), (-3.2, "-320 %")],
+)  # fmt: skip
+def test_a_percentage_has_no_power_of_ten(share: float, text: str):
+    assert percent(share) == text
+
+
+def test_a_percentage_of_more_digits_is_not_cut():
+    assert [percent(share, 3) for share in (0.12345, 9.996, 12.346)] == [
+        "12.3 %",
+        "1000 %",
+        "1235 %",
+    ]

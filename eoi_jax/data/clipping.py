@@ -6,6 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float
 
+from eoi_jax._checks import percent
 from eoi_jax.data.record import Record
 
 
@@ -73,7 +74,7 @@ def clipped_notes(records: Sequence[Record]) -> list[str]:
             continue
         notes += [
             f"{end.record}: {end.channel} stays at {end.level:.4g}, an end of its range, in "
-            f"{100 * end.share:.2g} % of its samples: if its sensor ends there, leave these empty"
+            f"{percent(end.share)} of its samples: if its sensor ends there, leave these empty"
             for end in saturations(record)
             if end.channel in record.output_names and end.share >= _SETTINGS.told
         ]

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
-from eoi_jax._checks import RecordWarning, check, check_choice, counted
+from eoi_jax._checks import RecordWarning, check, check_choice, counted, percent
 from eoi_jax._display import Result, text
 from eoi_jax.data.cleaning import SHORTEST
 from eoi_jax.data.clipping import saturations
@@ -481,7 +481,7 @@ def _role(channel: Channel, values: Float[np.ndarray, " time"]) -> tuple[str, st
     if staircase and _is_set(steps, channel.quantum):
         return "input", "it is held between levels that are more than a step of its values apart"
     if jump <= _SETTINGS.max_motion and channel.changes and channel.changes > STAIRCASE:
-        return "output", f"{SMOOTH}, at most {100 * jump:.2g} % of its range in one sample"
+        return "output", f"{SMOOTH}, at most {percent(jump)} of its range in one sample"
     return "other", "there is no evidence of its role"
 
 
@@ -535,7 +535,7 @@ def _advice(channels: Sequence[Channel], clock: Clock, samples: int) -> list[str
                 )
     for channel in by_role["output"]:
         advice += [
-            f"`{channel.name}` is saturated at {level:.6g}: {100 * share:.2g} % of the samples."
+            f"`{channel.name}` is saturated at {level:.6g}: {percent(share)} of the samples."
             for level, share in channel.saturated
         ]
     wraps = [(channel.name, channel.wraps) for channel in by_role["output"] if channel.wraps]

@@ -22,6 +22,7 @@ from eoi_jax._checks import check, check_count, real
 from eoi_jax._process import memory_returned, one_thread
 from eoi_jax.data.clipping import clipped_notes
 from eoi_jax.data.record import Record
+from eoi_jax.data.resampling import Real
 from eoi_jax.discovery.additions import fit_notes
 from eoi_jax.discovery.curves import misses_a_law, with_curves
 from eoi_jax.discovery.hold_choice import Searched, with_best_hold, with_held_inputs
@@ -76,7 +77,7 @@ _RULES = RULES.answer
 def discover(
     plant: Plant,
     records: Record | Sequence[Record],
-    validation: Record | Sequence[Record] | float | None = None,
+    validation: Record | Sequence[Record] | Real | None = None,
     effects: str | Sequence[AbstractEffect | str] | None = None,
     *,
     lowpass: LowPass | None = None,
@@ -124,9 +125,9 @@ def discover(
         tests are our own and stand in `search.py`, `cosine_modes.py` and `noise_spectrum.py`.
     """
     fit_records = check_records(plant, records)
-    if isinstance(validation, float | int):
+    if isinstance(validation, Real):
         check(0.0 < validation < 1.0, "validation", "must lie in (0, 1) as a share", validation)
-        parts = [record.split(1.0 - validation) for record in fit_records]
+        parts = [record.split(1.0 - float(validation)) for record in fit_records]
         fit_records, validation = (
             tuple(record for record, _ in parts),
             [record for _, record in parts],

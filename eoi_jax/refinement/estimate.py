@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from jaxtyping import Bool, Float
 
-from eoi_jax._checks import counted
+from eoi_jax._checks import counted, percent
 from eoi_jax._status import Status
 from eoi_jax.data.record import Record
 from eoi_jax.data.windows import restart_notes
@@ -111,7 +111,7 @@ def compared_with(
 def _unsettled(fit: Fit) -> tuple[str, ...]:
     if not fit.unsettled > 0 or not np.isfinite(fit.unsettled):
         return ()
-    change = f"{100 * fit.unsettled:.2g} % after {counted(fit.fits, 'fit')}"
+    change = f"{percent(fit.unsettled)} after {counted(fit.fits, 'fit')}"
     return (f"the weights of the outputs still changed by {change}; refine again from here",)
 
 

@@ -4,7 +4,7 @@ from typing import Any
 
 import numpy as np
 
-from eoi_jax._checks import counted
+from eoi_jax._checks import counted, percent
 from eoi_jax.comparison.result import Comparison, Entry
 from eoi_jax.report.style import WIDE, fix_theme, logarithmic, new_figure, series, themed, with_unit
 from eoi_jax.report.tables import columns, with_error
@@ -47,7 +47,7 @@ def _scores(result: Comparison, outputs: tuple[str, ...]) -> str:
     score_columns = [name for name, _ in scores] if len(outputs) == 1 else []
     rows = [("method", "status", *truth, *score_columns, "time [s]", "first [s]")]
     for entry in result.entries:
-        worst = [f"{100 * worst_error(entry):.3g} %"] if truth else []
+        worst = [percent(worst_error(entry), 3)] if truth else []
         values = [f"{getattr(entry, field)[0]:.4g}" for _, field in scores] if score_columns else []
         times = (f"{entry.seconds:.2g}", f"{entry.first_seconds:.2g}")
         rows.append((entry.method, entry.status.code, *worst, *values, *times))

@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from eoi_jax._checks import percent
 from eoi_jax.discovery.diagnosis import Diagnosis
 from eoi_jax.discovery.result import Discovery
 from eoi_jax.estimation.identify import Identification
@@ -156,7 +157,7 @@ def identification_contents(result: Identification, extra: Mapping[str, Any]) ->
         )
     ratio = f"injection over {highest_derivative(result.plant)}"
     tiles = [
-        Tile(f"Unexplained in {name}", f"{100 * share:.2g} %", ratio)
+        Tile(f"Unexplained in {name}", percent(share), ratio)
         for name, share in zip(result.plant.outputs, result.unexplained, strict=True)
     ]
     tiles = [*_fits(validation), *tiles][: 2 * _MAX_OUTPUTS]

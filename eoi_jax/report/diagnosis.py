@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 
-from eoi_jax._checks import counted
+from eoi_jax._checks import counted, percent
 from eoi_jax._status import Status
 from eoi_jax.discovery.diagnosis import Cross, Diagnosis, Map
 from eoi_jax.report.style import (
@@ -80,7 +80,7 @@ def diagnosis_text(diagnosis: Diagnosis) -> str:
     maps = [("residual of", "against", "explained", "statistic", "p", "")]
     for residual_map in diagnosis.maps:
         values = (
-            f"{100 * residual_map.explained:.2g} %",
+            percent(residual_map.explained),
             f"{residual_map.statistic:.3g}",
             _probability(residual_map.p_value),
         )
@@ -160,7 +160,7 @@ def residual(diagnosis: Diagnosis) -> Iterator[str]:
         if strongest is not None:
             dependence = (
                 f"it depends most on {strongest.variable}, whose bins explain "
-                f"{100 * strongest.explained:.2g} % of its power "
+                f"{percent(strongest.explained)} of its power "
                 f"(p {_probability(strongest.p_value)})"
             )
         mean, error = diagnosis.offset[j], diagnosis.offset_error[j]
@@ -317,7 +317,7 @@ def _draw_map(axes: Any, diagnosis: Diagnosis, residual_map: Map, first: bool) -
     )
     axes.set_xlabel(with_unit(residual_map.variable, unit))
     strongest = ": the strongest" if _is_strongest(diagnosis, residual_map) else ""
-    axes.set_title(f"explains {100 * residual_map.explained:.2g} %{strongest}")
+    axes.set_title(f"explains {percent(residual_map.explained)}{strongest}")
     if first:
         unit = _unit(diagnosis, diagnosis.outputs.index(residual_map.output))
         axes.set_ylabel(f"residual of\n{with_unit(residual_map.output, unit)}")

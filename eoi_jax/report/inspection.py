@@ -5,7 +5,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
-from eoi_jax._checks import counted, printable
+from eoi_jax._checks import counted, percent, printable
 from eoi_jax.data.inspection import Channel, Inspection, InspectionSettings
 from eoi_jax.report.decimate import decimate
 from eoi_jax.report.tables import columns
@@ -58,7 +58,7 @@ def _clock_text(inspection: Inspection) -> str:
     lines = [
         f"time: `{clock.column}`{scale} ({clock.why})",
         f"  every {period:.6g} s ({1 / period:.6g} Hz) for {clock.duration:.6g} s",
-        f"  stamps {low:.4g} to {high:.4g} s apart, jitter {100 * (clock.jitter or 0.0):.2g} %",
+        f"  stamps {low:.4g} to {high:.4g} s apart, jitter {percent(clock.jitter or 0.0)}",
         f"  {gaps}, {clock.repeated} repeated, {clock.backwards[0]} backwards",
     ]
     if clock.others:

@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 
-from eoi_jax._checks import counted, timed
+from eoi_jax._checks import counted, percent, timed
 from eoi_jax.data.record import Record
 from eoi_jax.estimation.identify import Identification
 from eoi_jax.models.plant import Plant
@@ -123,10 +123,10 @@ def identification_answer(result: Identification, validation: Validation | None 
     count = sum(name not in result.plant.fixed for name in result.parameters)
     samples = timed(sum(map(len, result.records)), _mean_period(result.records))
     parameters = counted(count, "parameter")
-    share = 100 * float(np.max(result.unexplained))
+    share = float(np.max(result.unexplained))
     sentence = (
         f"{parameters} of {result.plant.name} identified from {samples} in pass "
-        f"{result.best_pass + 1} of {len(result.index)}; {share:.2g} % of the "
+        f"{result.best_pass + 1} of {len(result.index)}; {percent(share)} of the "
         f"{highest_derivative(result.plant)} remains unexplained"
     )
     if validation is None or not np.all(np.isfinite(validation.rmse)):
@@ -211,7 +211,7 @@ def health_table(result: Identification) -> str:
     for name, sliding, share in zip(
         result.plant.outputs, result.sliding_fraction, result.unexplained, strict=True
     ):
-        rows.append((name, f"{100 * sliding:.4g} %", f"{100 * share:.2g} %"))
+        rows.append((name, f"{100 * sliding:.4g} %", percent(share)))
     return columns(rows, "<>>")
 
 

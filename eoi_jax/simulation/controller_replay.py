@@ -13,7 +13,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
-from eoi_jax._checks import check, counted
+from eoi_jax._checks import check, counted, percent
 from eoi_jax.compiler.programs import jit
 from eoi_jax.data.noise import quanta
 from eoi_jax.data.record import Record
@@ -170,18 +170,18 @@ def compared(
         rounding = _SETTINGS.rounding * quantum
         if quantum * _SETTINGS.levels > np.ptp(u):
             rounding = 0.0
-        percent = "no variation of it"
+        relative = "no variation of it"
         if spread > 0:  # rounding alone says nothing
-            percent = f"{100 * size / spread:.2g} %" if size > 1e-9 * spread else "every digit"
+            relative = percent(size / spread) if size > 1e-9 * spread else "every digit"
         good = np.isfinite(size) and size <= max(controller.tolerance * spread, rounding, 1e-12)
         if not good:
             worst = record.time[covered][int(np.argmax(np.nan_to_num(np.abs(error), nan=np.inf)))]
             value = f"a difference of {size:.3g} {unit}".rstrip()
-            value += f" rms ({percent} of its standard deviation), largest at t = {worst:g} s"
+            value += f" rms ({relative} of its standard deviation), largest at t = {worst:g} s"
             rule = f"must reproduce the recorded input {name} of {record.name} from the measured "
             rule += f"outputs, to {100 * controller.tolerance:g} % or its quantisation"
             check(False, "controller", rule, value, _reason(inputs, stretches, j, size))
-        shares.append(f"the recorded {name} of {record.name} to {percent}")
+        shares.append(f"the recorded {name} of {record.name} to {relative}")
     return ", ".join(shares)
 
 

@@ -9,7 +9,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from eoi_jax._checks import check, check_kind
+from eoi_jax._checks import Whole, check, check_count, check_kind
 from eoi_jax.data.record import Record
 from eoi_jax.estimation.identify import Identification
 from eoi_jax.estimation.sweep.sweep import sweep
@@ -23,7 +23,7 @@ def bootstrap(
     identification: Identification,
     records: Record | Sequence[Record],
     *,
-    resamples: int = 500,
+    resamples: Whole = 500,
     seed: int = 0,
     transient: float | None = None,
     substeps: int | None = None,
@@ -52,8 +52,7 @@ def bootstrap(
     Source:
         H. Künsch, Annals of Statistics 17 (1989) 1217, with blocks that do not overlap.
     """
-    rule = f"must be an integer ≥ {_MIN_RESAMPLES}"
-    check(isinstance(resamples, int) and resamples >= _MIN_RESAMPLES, "resamples", rule, resamples)
+    resamples = check_count("resamples", resamples, _MIN_RESAMPLES)
     check_kind("identification", identification, Identification, "what `identify` returned")
     base = uncertainty(identification)
     check(

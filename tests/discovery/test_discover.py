@@ -656,9 +656,17 @@ def test_records_that_do_not_fit_the_plant_are_refused():
         eoi.discover(MASS, [])
 
 
-def test_share_that_is_held_out_lies_between_zero_and_one():
-    with pytest.raises(ValueError, match=r"`validation` must lie in \(0, 1\) as a share, got 1.5"):
-        eoi.discover(MASS, records("nothing")[0], 1.5)
+@pytest.mark.parametrize("share", [1.5, np.float32(1.5), np.int64(2), True], ids=repr)
+def test_share_that_is_held_out_lies_between_zero_and_one(share):
+    rule = rf"`validation` must lie in \(0, 1\) as a share, got {share}"
+    with pytest.raises(ValueError, match=rule):
+        eoi.discover(MASS, records("nothing")[0], share)
+
+
+def test_a_share_may_be_a_number_of_numpy():
+    record = records("nothing")[0]
+    found = eoi.discover(MASS, record, np.float32(0.25), effects=["coulomb_friction"])
+    assert [len(held) for held in found.held_out] == [round(0.25 * len(record))]
 
 
 def test_a_record_too_short_to_tell_anything_is_left_out_with_a_note():

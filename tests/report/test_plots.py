@@ -16,6 +16,7 @@ from eoi_jax.discovery.result import Discovery
 from eoi_jax.models.augmented import place
 from eoi_jax.refinement.remaining import Candidate, Remaining
 from eoi_jax.report.health import health
+from eoi_jax.report.tables import health_table, identification_answer
 
 
 @pytest.fixture(scope="module")
@@ -100,6 +101,12 @@ def fine(found) -> Diagnosis:
         offset_error=one, cross=(), confounded=(), worst_combination="", windows=(), saturation=(),
         sliding_fraction=one, noise=1e-5 * one, quantum=zero,
     )  # fmt: skip
+
+
+def test_a_residual_as_large_as_the_highest_derivative_is_a_hundred_percent(found):
+    wrong = dataclasses.replace(found.found, unexplained=np.array([0.9996]))
+    assert health_table(wrong).splitlines()[-1].split()[-2:] == ["100", "%"]
+    assert "; 100 % of" in identification_answer(wrong)
 
 
 LATE = Cross("position", "force", np.zeros(1), np.zeros(1), 0.5, 0.0, 0.5, 0.02, False)

@@ -239,6 +239,10 @@ def test_a_controller_that_does_not_reproduce_the_input_is_refused_with_how_much
             derivative=1.0)  # fmt: skip
 
 
+def test_a_difference_of_many_times_the_deviation_is_written_out():
+    refused(r"rms \(\d{4,} % of its standard deviation\)", derivative=200.0)
+
+
 def test_a_factor_is_named():
     refused(r"With a factor of 1\.5 ", proportional=12.0, integral=20.0 / 3.0, derivative=2.0)
 

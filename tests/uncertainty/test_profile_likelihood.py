@@ -167,7 +167,9 @@ def test_bootstrap_errors_are_near_the_scatter_of_repeated_experiments(identifie
 
 def test_bootstrap_repeats_by_its_seed_and_carries_over_to_other_quantities(identified):
     measured, result = identified
-    one, same, other = (eoi.bootstrap(result, measured, resamples=30, seed=s) for s in (1, 1, 2))
+    one, same, other = (
+        eoi.bootstrap(result, measured, resamples=np.int64(30), seed=s) for s in (1, 1, 2)
+    )
     np.testing.assert_array_equal(one.draws, same.draws)
     assert np.any(np.asarray(one.draws) != np.asarray(other.draws))
     static = one.physical(lambda p: {"static": p.gain / p.rate})

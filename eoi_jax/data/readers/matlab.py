@@ -3,8 +3,8 @@
 MATLAB's objects (``iddata``, ``timeseries``, ``Simulink.SimulationData.Dataset``) are stored in a
 form that only MATLAB reads. Users can save their contents as structures. These are recognised:
 
-* ``z = get(data)`` of an ``iddata``: `OutputData`, `InputData`, `Ts`, `SamplingInstants`, and names
-  and units of the channels. The columns have the names of the channels.
+* ``z = get(data)`` of an ``iddata``: `OutputData`, `InputData`, `Ts`, `SamplingInstants`, names and
+  units of the channels, and `InterSample`. The columns have the names of the channels.
 * "Structure With Time" of Simulink: `time` and `signals` with `values` and `label`.
 
 Other structures give columns ``structure.field``.
@@ -32,6 +32,7 @@ _SAVE = {
     "Dataset": "time = {name}{{1}}.Values.Time; data = squeeze({name}{{1}}.Values.Data); "
     "save('run.mat', 'time', 'data')",
 }
+_HOLD_OF_INTERSAMPLE = {"zoh": "zero", "foh": "linear", "bl": "smooth"}
 _SAVE_OBJECT = "s = struct({name}); save('run.mat', '-struct', 's')"
 
 
@@ -47,6 +48,7 @@ class _Contents:
     time: str | None = None
     inputs: list[str] = field(default_factory=list)
     outputs: list[str] = field(default_factory=list)
+    holds: dict[str, str] = field(default_factory=dict)
 
 
 def read_mat(path: Path, allowance: Allowance) -> Table:
@@ -80,6 +82,7 @@ def read_mat(path: Path, allowance: Allowance) -> Table:
         contents.time,
         tuple(contents.inputs),
         tuple(contents.outputs),
+        contents.holds,
     )
 
 
@@ -145,6 +148,7 @@ def _add_iddata(content: Mapping[str, Any], prefix: str, contents: _Contents) ->
             names.append(name)
             if unit:
                 contents.units[name] = unit
+    contents.holds |= _holds(content.get("InterSample"), contents.inputs)
     stamps = _single(content.get("SamplingInstants", []))
     period, start = _single(content.get("Ts", [])), _single(content.get("Tstart", []))
     time = f"{prefix}time"
@@ -161,6 +165,13 @@ def _add_iddata(content: Mapping[str, Any], prefix: str, contents: _Contents) ->
     contents.notes.append(
         f"`{variable}` is read as an iddata object: inputs, outputs and time by name."
     )
+
+
+def _holds(intersample: Any, inputs: list[str]) -> dict[str, str]:
+    """The hold of each input by its column; nothing where that of any is not known."""
+    texts = [intersample] * len(inputs) if isinstance(intersample, str) else intersample
+    words = [_HOLD_OF_INTERSAMPLE.get(text, "") for text in _texts(texts, len(inputs), "")]
+    return dict(zip(inputs, words, strict=True)) if all(words) else {}
 
 
 def _single(value: Any) -> Any:

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from eoi_jax._checks import check, check_choice, check_kind, check_positive, printable
-from eoi_jax.data.input_holds import HoldArgument
+from eoi_jax.data.input_holds import HoldArgument, hold_text, read_hold
 from eoi_jax.data.readers.archive import read_arrays
 from eoi_jax.data.readers.delimited import line_of, read_text
 from eoi_jax.data.readers.excel import read_excel
@@ -55,7 +55,8 @@ def read_record(
     counted from 0. Columns of dates and times of day count in seconds from the first.
 
     A file that declares its inputs, outputs and time, as an `iddata` in a .mat file does, needs no
-    names: ``read_record("run.mat")``.
+    names: ``read_record("run.mat")``. Its `InterSample` is then the hold; with names of columns it
+    is not read.
 
     Args:
         path: the file.
@@ -66,7 +67,8 @@ def read_record(
         sample_period: time between samples [s].
         scale: ``{column: factor}``, e.g. ``{"tempo_ms": 1e-3}``.
         units: ``{column: unit}`` after scaling, for tables and figures.
-        hold: of the inputs, as in `Record`; where they differ, by column.
+        hold: of the inputs, as in `Record`; where they differ, by column. By default what the file
+            declares, if it does.
         burn_in: time at the start that is not scored [s], as in `Record`.
         slice: ``(start, stop)``, the range of samples that is read; stop may be None. Time stays as
             it is in the file, or counts from the file's first sample.
@@ -91,9 +93,11 @@ def read_record(
     path = Path(path)
     table = read_table(path, max_gigabytes)
     columns, roles = table.columns, (time, sample_period, inputs, outputs)
+    hold_notes: list[str] = []
     if table.outputs and all(option in (None, ()) for option in roles):
         time, inputs, outputs = table.time, table.inputs, table.outputs
         scale, units = _declared(table) if (scale, units) == (None, None) else (scale, units)
+        hold, hold_notes = _declared_hold(table, hold)
     _check_clock(time, sample_period)
     clock = None if time is None else _column_name("time", time)
     u_columns, y_columns = _column_names("inputs", inputs), _column_names("outputs", outputs)
@@ -127,7 +131,7 @@ def read_record(
         burn_in=burn_in,
         mask_faults=mask_faults,
     )
-    return record._changed(" ".join([*hints, *notes]))
+    return record._changed(" ".join([*hints, *hold_notes, *notes]))
 
 
 # -- choosing columns ---------------------------------------------------------------------
@@ -153,6 +157,14 @@ def _declared(table: Table) -> tuple[dict[str, float], dict[str, str]]:
     factors = {table.time: seconds[1]} if table.time and seconds else {}
     channels = (*table.inputs, *table.outputs)
     return factors, {key: table.units[key] for key in channels if table.units.get(key)}
+
+
+def _declared_hold(table: Table, hold: HoldArgument) -> tuple[HoldArgument, list[str]]:
+    """The hold that the caller gives, else that of the file, if it says one, with a note."""
+    if hold != "auto" or not table.holds:
+        return hold, []
+    words = hold_text(read_hold(table.holds, table.inputs), table.inputs)
+    return table.holds, [f"Hold {words}, as the file says. If it is another one, give `hold`."]
 
 
 def _options_by_column(

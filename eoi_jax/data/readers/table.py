@@ -21,6 +21,7 @@ class Table:
         time: the column that the file declares as time.
         inputs: the columns that the file declares as inputs.
         outputs: the columns that the file declares as outputs.
+        holds: of all declared inputs, where the file gives them (`input_holds.HOLDS`).
     """
 
     columns: Columns
@@ -30,6 +31,7 @@ class Table:
     time: str | None = None
     inputs: tuple[str, ...] = ()
     outputs: tuple[str, ...] = ()
+    holds: Mapping[str, str] = field(default_factory=dict)
 
 
 def add_columns(columns: Columns, notes: list[str], key: str, values: np.ndarray) -> None:

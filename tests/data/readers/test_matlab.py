@@ -55,6 +55,46 @@ def test_an_iddata_object_needs_no_names_of_columns(tmp_path, unit, seconds):
         read_record(tmp_path / "run.mat")
 
 
+@pytest.mark.parametrize(
+    ("intersample", "hold", "text"),
+    [
+        ("zoh", "zero", "zero"),
+        ("foh", "linear", "linear"),
+        (np.array(["bl", "bl"], dtype=object), "smooth", "smooth"),
+        (
+            np.array(["zoh", "foh"], dtype=object)[:, None],
+            ("zero", "linear"),
+            "zero for volt, linear for load",
+        ),
+    ],
+    ids=["zoh", "foh", "bl", "of each input"],
+)
+def test_the_behaviour_between_samples_of_an_iddata_object_is_the_hold(
+    tmp_path, intersample, hold, text
+):
+    savemat(tmp_path / "run.mat", {**IDDATA, "InterSample": intersample})
+    record = read_record(tmp_path / "run.mat")
+    assert (record.hold, record.hold_declared) == (hold, True)
+    note = f"Hold {text}, as the file says. If it is another one, give `hold`."
+    assert note in " ".join(record.notes)
+    given = read_record(tmp_path / "run.mat", hold="linear")
+    assert given.hold == "linear"
+    assert "as the file says" not in " ".join(given.notes)
+    named = read_record(tmp_path / "run.mat", "time", ["volt", "load"], "angle")
+    assert not named.hold_declared
+
+
+@pytest.mark.parametrize(
+    "intersample",
+    [None, "later", np.zeros((0, 0)), np.array(["zoh", "later"], dtype=object)],
+    ids=["missing", "unknown", "empty", "partly unknown"],
+)
+def test_an_iddata_object_that_does_not_tell_the_hold_leaves_it_open(tmp_path, intersample):
+    said = {} if intersample is None else {"InterSample": intersample}
+    savemat(tmp_path / "run.mat", {**IDDATA, **said})
+    assert not read_record(tmp_path / "run.mat").hold_declared
+
+
 def test_uneven_instants_and_nameless_channels_are_taken(tmp_path):
     instants = np.cumsum(np.r_[0.0, np.full(N - 1, 0.1)])
     given = {
