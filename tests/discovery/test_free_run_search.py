@@ -282,6 +282,19 @@ def test_of_a_plant_that_is_unstable_windows_judge_where_whole_runs_are_lost():
     assert stable.longest is None
 
 
+def test_of_a_plant_that_is_unstable_a_judge_takes_records_shorter_than_the_start_of_a_window():
+    records = upright(1, 600, friction=0.0), upright(2, 60, friction=0.0)[:40]
+    off = PLANT.with_parameters({"b": 1.02})
+    judge = Judge.of(records, off)
+    assert judge is not None
+    assert judge.longest is not None
+    assert judge.longest / records[0].sample_period > 40
+    assert judge.whole_head == 20
+    for run in judge.runs(off):
+        assert run is not None
+        assert all(np.any(scored) for scored in run.scored_at)
+
+
 def begun(hold="zero"):
     records, judging = (
         (eoi.Record(made.time, made.inputs, made.outputs, hold=hold, input_names=("voltage",),
