@@ -314,6 +314,7 @@ def with_further_effects(
     runs = whole_and_windows(fit.plant, answer.judging, window, long_runs.window)
     searched = [note for note in discovery.notes if isinstance(note, GridNote)]
     notes = [*_lasting(discovery, answer, model.placed), *searched, *hints]
+    notes += [] if discovery.base is None else [_REFINED]
     notes.append(_FURTHER.format(labels_of(further), ratio) if further else _BETTER)
     notes += _replaced(discovery, fit.plant, further)
     if gone := labels_of([at for at in present if at not in model.placed]):
@@ -416,7 +417,7 @@ def _with_model(
         explained=1.0 - float(np.exp(2.0 * (model.error - base.error))) if added else 0.0,
         before=base.runs[0], windows_before=base.runs[1],
         after=model.runs[0], windows_after=model.runs[1],
-        found=fit, plant=fit.plant, held_out=answer.judging,
+        found=fit, plant=fit.plant, held_out=answer.judging, base=base.refinement.plant,
         notes=(*notes, *on_bounds(plant, fit.plant), *uncertain_effects(added)),
     )  # fmt: skip
 
@@ -492,9 +493,10 @@ def _imitates(discovery: Discovery, best: Judged) -> bool:
 
 
 _HOLD = "hold {}: of those that are possible the one with the smallest errors on held-out records"
-_REFINED = (
+_REFINED = FitNote(
     "the declared model was refined by the error of its free runs, and effects were searched in "
-    "these; errors before are those of the refined declared model"
+    "these; errors before are those of the refined declared model, parameters before those of the "
+    "passes"
 )
 _AS_GOOD = (
     "{} explains the injection, but without it the declared model, refined, predicts the held-out "
