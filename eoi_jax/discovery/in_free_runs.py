@@ -352,7 +352,8 @@ def answered(
     nothing of it; or the mean over these and the records of the fit. A product names no
     cause, and is chosen of many: the records of the fit must confirm it, if they can. Where no
     model says anything of the held-out records, their errors confirm none. Else it is the lead, and
-    the declared model is refined unless that raises them by more than chance.
+    the declared model is refined unless that raises them by more than chance; where that leaves no
+    more than noise, nothing is shown to be missing, and there is no lead.
 
     Args:
         discovery: the answer so far.
@@ -393,11 +394,24 @@ def answered(
         lead = PartialExplanation(added, 1.0 - ratio**2, fit, *best.runs)
     if answer.better_base:
         # What the injection said of the model as it was is said of no other one.
-        left = best.placed or beyond_noise(base.runs[1], answer.judging)
+        left = bool(beyond_noise(base.runs[1], answer.judging)) or _tells_of_motion(lead, base)
         verdict = ("unexplained", _NOT_EXPLAINED) if left else ("nothing_missing", _NOTHING_MISSING)
         outcome = replace(discovery, status=Status(*verdict), lead=lead)
         discovery = _with_model(outcome, answer, base, lowpass)
+        if lead is not None and not left:
+            # Of what is within the noise a part that confirms nothing shows nothing to be missing.
+            lead, hint = None, FitNote(_WITHIN_NOISE.format(labels_of(best.placed), ratio))
+            lost = [*lost, hint]
     return replace(discovery, lead=lead, notes=(*discovery.notes, *lost))
+
+
+def _tells_of_motion(lead: PartialExplanation | None, base: Judged) -> bool:
+    """Whether there is a lead beside a model that a constant is better than.
+
+    What is read as the noise of such records may be motion.
+    """
+    runs = base.runs[1] or base.runs[0]
+    return lead is not None and bool(np.any(runs.nrmse > _RULES.useless))
 
 
 def _with_model(
@@ -540,6 +554,10 @@ _ALL = (
 _NOT_EXPLAINED = (
     "refined, the declared model misses the held-out records by more than noise or chance in free "
     "runs, and no effect of the library lowers these errors by a third"
+)
+_WITHIN_NOISE = (
+    "with {} the errors on the held-out records would have {:.3g} of those of the refined declared "
+    "model: that confirms no effect, and both are within the noise"
 )
 _NOTHING_MISSING = (
     "refined, the declared model misses the held-out records by no more than noise in free runs"
