@@ -427,7 +427,7 @@ def _with_model(
     notes += _replaced(discovery, fit.plant, model.placed)
     return replace(
         discovery, effects=names_of(model.placed), added=added,
-        ambiguous_with=names, advice=experiments(added, names),
+        ambiguous_with=names, advice=experiments(plant, added, names),
         explained=1.0 - float(np.exp(2.0 * (model.error - base.error))) if added else 0.0,
         before=base.runs[0], windows_before=base.runs[1],
         after=model.runs[0], windows_after=model.runs[1],
