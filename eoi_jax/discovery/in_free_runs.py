@@ -564,9 +564,11 @@ _NOTHING_MISSING = (
 )
 _PARTIAL = (
     "with {} free runs on the held-out records have {:.3g} of the error of the refined declared "
-    "model; more than noise is left"
+    "model (geometric mean of the errors of all outputs, in long runs and in windows); more than "
+    "noise is left"
 )
 _COMPLETE = (
     "with {} free runs on the held-out records have {:.3g} of the error of the refined declared "
-    "model, and miss by no more than noise"
+    "model (geometric mean of the errors of all outputs, in long runs and in windows), and miss by "
+    "no more than noise"
 )

@@ -127,6 +127,18 @@ def test_the_answer_says_that_long_runs_decided(monkeypatch, answer, long_ratio,
     assert len(notes) == len(effects_named)
 
 
+def test_the_number_in_the_answer_is_the_mean_that_it_says(monkeypatch, answer):
+    monkeypatch.setattr(in_free_runs, "long_run_ratio", lambda answer: 0.6)
+    found = eoi.discover(
+        PENDULUM, released(1, 20.0, 0.0), released(2, 15.0, 0.0), ["quadratic_drag"]
+    )
+    judged = in_free_runs.answered(found, answer, (), None)
+    pairs = (judged.before, judged.after), (judged.windows_before, judged.windows_after)
+    ratio = np.sqrt(np.prod([new.rmse[0] / old.rmse[0] for old, new in pairs]))
+    assert f"have {ratio:.3g} of the error of the refined" in judged.status.message
+    assert "(geometric mean of the errors of all outputs, in long runs" in judged.status.message
+
+
 @pytest.mark.parametrize(
     ("excess", "nrmse", "code"),
     [([], None, "nothing_missing"), (["more than noise"], None, "unexplained"),
