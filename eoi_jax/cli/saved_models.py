@@ -229,10 +229,11 @@ def _share_samples(record: Record, fitted: Record, smallest: int = 8) -> bool:
 def _held_out_note(first: Path, record: Record) -> str:
     """Whose records these are, and how their inputs act."""
     skew = f" ({skew_text(record, record.skew)})" if np.any(record.skew) else ""
+    hold = hold_text(record.hold, record.input_names)
+    held = f", with the hold of that run, {hold}{skew}" if record.input_names else ""
     return (
-        f"no data file is given: the records are those that {first} held out, with the hold of "
-        f"that run, {hold_text(record.hold, record.input_names)}{skew}. It may have chosen its "
-        "model on them; new data files are fairer"
+        f"no data file is given: the records are those that {first} held out{held}. It may have "
+        "chosen its model on them; new data files are fairer"
     )
 
 

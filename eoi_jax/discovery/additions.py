@@ -71,8 +71,13 @@ def uncertain_effects(added: Sequence[Added]) -> list[str]:
 
 
 def fit_notes(plant: Plant, added: Sequence[Added], fit: Identification) -> list[str]:
-    """`level_notes`, `sensor_notes` and `sign_notes` of an answer."""
-    return [*level_notes(plant, added), *sensor_notes(plant, added), *sign_notes(plant, fit)]
+    """`level_notes`, `sensor_notes`, `sign_notes` and `untold_notes` of an answer."""
+    return [
+        *level_notes(plant, added),
+        *sensor_notes(plant, added),
+        *sign_notes(plant, fit),
+        *untold_notes(plant, fit),
+    ]
 
 
 def level_notes(plant: Plant, added: Sequence[Added]) -> list[str]:
@@ -134,10 +139,37 @@ def sign_notes(plant: Plant, fit: Identification) -> list[str]:
     """
     return [
         FitNote(_TURNED.format(name, fit.parameters[name], nominal))
-        for name, nominal in plant.parameters.items()
-        if name not in plant.fixed
-        and fit.parameters.get(name, nominal) * nominal < 0.0
+        for name, nominal in _estimated(plant, fit)
+        if fit.parameters[name] * nominal < 0.0
         and size_is_known([name], fit.parameters, fit.standard_errors)
+    ]
+
+
+def untold_notes(plant: Plant, fit: Identification) -> list[str]:
+    """Notes on declared parameters that the records do not tell, not even their magnitude.
+
+    The standard error exceeds the value, and the nominal value too: beside what was found any value
+    does as well, and that of the fit has run off or stayed by chance. One near zero whose error is
+    below its nominal value is told to be that small.
+
+    Args:
+        plant: as it is declared.
+        fit: the answer.
+    """
+    return [
+        FitNote(_UNTOLD.format(name, fit.parameters[name], fit.standard_errors[name]))
+        for name, nominal in _estimated(plant, fit)
+        if fit.standard_errors[name] > max(abs(fit.parameters[name]), abs(nominal))
+    ]
+
+
+def _estimated(plant: Plant, fit: Identification) -> list[tuple[str, float]]:
+    """Declared parameters that a fit has estimated, with their nominal values; none without one."""
+    held = {*plant.fixed, *fit.plant.fixed}
+    return [
+        (name, nominal)
+        for name, nominal in plant.parameters.items()
+        if fit.status.fits and name in fit.parameters and name not in held
     ]
 
 
@@ -145,6 +177,10 @@ _LEVEL = "leak and constant_offset of {} are together a loss to a level of {} th
 _TURNED = (
     "{} is {:.3g}, and its nominal value {:.3g} has the other sign: where that is impossible give "
     "it `bounds`, and doubt what was found beside it"
+)
+_UNTOLD = (
+    "the records do not tell {}: it is {:.3g} with a standard error of {:.2g}; fix it at a value "
+    "that is known, or leave its term out"
 )
 
 

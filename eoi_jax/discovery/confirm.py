@@ -44,6 +44,14 @@ def only_short(prior: FreeRuns, after: FreeRuns) -> bool:
     return short_growth < 0.0 <= whole_growth
 
 
+def drifts(long_runs: Validation, windows: Validation) -> bool:
+    """Whether long free runs leave the record where short ones stay near it, in some output.
+
+    Their error is infinite, or larger by as much as confirms an effect.
+    """
+    return not bool(np.all(_RULES.confirmed * long_runs.rmse <= windows.rmse))
+
+
 def as_good(plain: FreeRuns, wide: FreeRuns) -> bool:
     """Whether the errors of a simpler model are no larger, in whole and in short free runs.
 

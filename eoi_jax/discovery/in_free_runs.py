@@ -314,6 +314,7 @@ def with_further_effects(
     runs = whole_and_windows(fit.plant, answer.judging, window, long_runs.window)
     searched = [note for note in discovery.notes if isinstance(note, GridNote)]
     notes = [*_lasting(discovery, answer, model.placed), *searched, *hints]
+    notes += [] if discovery.base is None else [_REFINED]
     notes.append(_FURTHER.format(labels_of(further), ratio) if further else _BETTER)
     notes += _replaced(discovery, fit.plant, further)
     if gone := labels_of([at for at in present if at not in model.placed]):
@@ -351,7 +352,8 @@ def answered(
     nothing of it; or the mean over these and the records of the fit. A product names no
     cause, and is chosen of many: the records of the fit must confirm it, if they can. Where no
     model says anything of the held-out records, their errors confirm none. Else it is the lead, and
-    the declared model is refined unless that raises them by more than chance.
+    the declared model is refined unless that raises them by more than chance; where that leaves no
+    more than noise, nothing is shown to be missing, and there is no lead.
 
     Args:
         discovery: the answer so far.
@@ -392,11 +394,24 @@ def answered(
         lead = PartialExplanation(added, 1.0 - ratio**2, fit, *best.runs)
     if answer.better_base:
         # What the injection said of the model as it was is said of no other one.
-        left = best.placed or beyond_noise(base.runs[1], answer.judging)
+        left = bool(beyond_noise(base.runs[1], answer.judging)) or _tells_of_motion(lead, base)
         verdict = ("unexplained", _NOT_EXPLAINED) if left else ("nothing_missing", _NOTHING_MISSING)
         outcome = replace(discovery, status=Status(*verdict), lead=lead)
         discovery = _with_model(outcome, answer, base, lowpass)
+        if lead is not None and not left:
+            # Of what is within the noise a part that confirms nothing shows nothing to be missing.
+            lead, hint = None, FitNote(_WITHIN_NOISE.format(labels_of(best.placed), ratio))
+            lost = [*lost, hint]
     return replace(discovery, lead=lead, notes=(*discovery.notes, *lost))
+
+
+def _tells_of_motion(lead: PartialExplanation | None, base: Judged) -> bool:
+    """Whether there is a lead beside a model that a constant is better than.
+
+    What is read as the noise of such records may be motion.
+    """
+    runs = base.runs[1] or base.runs[0]
+    return lead is not None and bool(np.any(runs.nrmse > _RULES.useless))
 
 
 def _with_model(
@@ -412,11 +427,11 @@ def _with_model(
     notes += _replaced(discovery, fit.plant, model.placed)
     return replace(
         discovery, effects=names_of(model.placed), added=added,
-        ambiguous_with=names, advice=experiments(added, names),
+        ambiguous_with=names, advice=experiments(plant, added, names),
         explained=1.0 - float(np.exp(2.0 * (model.error - base.error))) if added else 0.0,
         before=base.runs[0], windows_before=base.runs[1],
         after=model.runs[0], windows_after=model.runs[1],
-        found=fit, plant=fit.plant, held_out=answer.judging,
+        found=fit, plant=fit.plant, held_out=answer.judging, base=base.refinement.plant,
         notes=(*notes, *on_bounds(plant, fit.plant), *uncertain_effects(added)),
     )  # fmt: skip
 
@@ -492,9 +507,10 @@ def _imitates(discovery: Discovery, best: Judged) -> bool:
 
 
 _HOLD = "hold {}: of those that are possible the one with the smallest errors on held-out records"
-_REFINED = (
+_REFINED = FitNote(
     "the declared model was refined by the error of its free runs, and effects were searched in "
-    "these; errors before are those of the refined declared model"
+    "these; errors before are those of the refined declared model, parameters before those of the "
+    "passes"
 )
 _AS_GOOD = (
     "{} explains the injection, but without it the declared model, refined, predicts the held-out "
@@ -539,14 +555,20 @@ _NOT_EXPLAINED = (
     "refined, the declared model misses the held-out records by more than noise or chance in free "
     "runs, and no effect of the library lowers these errors by a third"
 )
+_WITHIN_NOISE = (
+    "with {} the errors on the held-out records would have {:.3g} of those of the refined declared "
+    "model: that confirms no effect, and both are within the noise"
+)
 _NOTHING_MISSING = (
     "refined, the declared model misses the held-out records by no more than noise in free runs"
 )
 _PARTIAL = (
     "with {} free runs on the held-out records have {:.3g} of the error of the refined declared "
-    "model; more than noise is left"
+    "model (geometric mean of the errors of all outputs, in long runs and in windows); more than "
+    "noise is left"
 )
 _COMPLETE = (
     "with {} free runs on the held-out records have {:.3g} of the error of the refined declared "
-    "model, and miss by no more than noise"
+    "model (geometric mean of the errors of all outputs, in long runs and in windows), and miss by "
+    "no more than noise"
 )

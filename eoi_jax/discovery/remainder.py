@@ -13,6 +13,7 @@ import numpy as np
 from eoi_jax._status import Status
 from eoi_jax.data.holds import with_hold
 from eoi_jax.data.record import Record
+from eoi_jax.data.windows import window_length
 from eoi_jax.discovery.confirm import beyond_noise
 from eoi_jax.discovery.diagnose import diagnose
 from eoi_jax.discovery.judge import error_ratio
@@ -20,11 +21,13 @@ from eoi_jax.discovery.own_offsets import OwnOffsets, with_own_offsets
 from eoi_jax.discovery.remarks import FitNote, is_on_fit
 from eoi_jax.discovery.result import Discovery
 from eoi_jax.discovery.rules import RULES
+from eoi_jax.estimation.holdout import longest_start
 from eoi_jax.models.augmented import Placed, augmented, place
 from eoi_jax.models.effects import ConstantOffset
 from eoi_jax.models.plant import Plant
 from eoi_jax.refinement.refine import refine_once
 from eoi_jax.refinement.result import Refinement
+from eoi_jax.simulation.validate import whole_and_windows
 
 _RULES = RULES.differences
 
@@ -136,6 +139,11 @@ def _denied(
 ) -> Discovery:
     """The declared model in place of an answer, with a note on the offsets of the records."""
     fit, declared, names = shifted.refinement, discovery.declared, _names(records)
+    runs = discovery.before, discovery.windows_before
+    if discovery.base is not None and runs[0] is not None:  # they are those of the refined model
+        plant, judging = declared.plant, discovery.held_out
+        window = window_length(judging, 2 * longest_start(plant, judging))
+        runs = whole_and_windows(plant, judging, window, runs[0].window)
 
     def formatted(parameters: Iterable[str]) -> list[str]:
         values, errors = fit.parameters, fit.standard_errors
@@ -151,7 +159,7 @@ def _denied(
     )
     return replace(
         discovery, effects=(), added=(), ambiguous_with=(), advice="", explained=0.0,
-        after=discovery.before, windows_after=discovery.windows_before,
+        before=runs[0], windows_before=runs[1], after=runs[0], windows_after=runs[1], base=None,
         found=declared, plant=declared.plant, status=Status("unexplained", note),
         notes=tuple(item for item in discovery.notes if not is_on_fit(item)),
         diagnosis=diagnose(declared, records),

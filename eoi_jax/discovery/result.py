@@ -176,8 +176,9 @@ class Discovery(Result):
         advice: which experiment would distinguish them.
         explained: share of the residual's power above the noise that `effects` explain, 0 … 1;
             of effects that free runs have shown, the share of the power of their errors.
-        before, after: free-run errors of the declared and of the augmented model, on records that
-            were not used for the fit (`in_sample` tells whether there were none).
+        before, after: free-run errors of the declared model (`plant_before`) and of the augmented
+            one, on records that were not used for the fit (`in_sample` tells whether there were
+            none).
         windows_before, windows_after: the same on re-initialised windows; None where the records
             are too short.
         declared, found: the fits of the declared and of the augmented model.
@@ -198,6 +199,8 @@ class Discovery(Result):
         test_before, test_after: as `before` and `after`, on test records, which chose nothing: the
             errors that may be published. None without such records.
         test_windows_before, test_windows_after: the same on re-initialised windows.
+        base: the declared model refined by the error of its free runs, where effects were searched
+            in these; else None.
     """
 
     effects: tuple[str, ...]
@@ -226,6 +229,15 @@ class Discovery(Result):
     test_after: Validation | None = None
     test_windows_before: Validation | None = None
     test_windows_after: Validation | None = None
+    base: Plant | None = field(default=None, metadata=WHERE_SET)
+
+    @property
+    def plant_before(self) -> Plant:
+        """The declared model whose free-run errors are those before: refined, or as it was fitted.
+
+        A result of an earlier version does not hold the refined one, though `before` may be of it.
+        """
+        return self.declared.plant if self.base is None else self.base
 
     @property
     def records(self) -> tuple[Record, ...]:

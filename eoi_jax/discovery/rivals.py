@@ -12,6 +12,7 @@ from eoi_jax.discovery.search import RankedSets
 from eoi_jax.models.augmented import Placed
 from eoi_jax.models.effects import standard, wider
 from eoi_jax.models.effects.effect import AbstractEffect
+from eoi_jax.models.plant import Plant
 
 _RULES = RULES.answer
 
@@ -107,18 +108,26 @@ def advice(first: RoundResult, rival_names: Sequence[str]) -> str:
     }
     kinds = {atom.placed.effect.depends_on for atom in first.chosen.atoms}
     kinds |= {library[name].depends_on for name in rival_names if name in library}
-    return _experiments(kinds)
+    return _experiments(first.start.task.plant, kinds)
 
 
-def experiments(added: Sequence[Added], rival_names: Sequence[str]) -> str:
-    """The experiment that distinguishes added effects from their rivals; "" without any."""
+def experiments(plant: Plant, added: Sequence[Added], rival_names: Sequence[str]) -> str:
+    """The experiment that distinguishes added effects from their rivals; "" without any.
+
+    Args:
+        plant: that lacks the effects; without inputs its motion follows from where it starts.
+        added: effects.
+        rival_names: names of what may stand in their places.
+    """
     kinds = {effect.name: effect.depends_on for effect in (*standard(), *wider())}
     signals = {item.effect.depends_on for item in added if item.alternatives}
-    return _experiments({*signals, *(kinds[name] for name in rival_names if name in kinds)})
+    rival_signals = {kinds[name] for name in rival_names if name in kinds}
+    return _experiments(plant, signals | rival_signals)
 
 
-def _experiments(kinds: Iterable[str]) -> str:
-    return " ".join(_EXPERIMENT[kind] for kind in sorted(kinds))
+def _experiments(plant: Plant, kinds: Iterable[str]) -> str:
+    experiment = _EXPERIMENT if plant.inputs else _WITHOUT_INPUTS
+    return " ".join(experiment[kind] for kind in sorted(kinds) if kind in experiment)
 
 
 _EXPERIMENT = {
@@ -126,4 +135,9 @@ _EXPERIMENT = {
     "v": "Record slow and fast motion of one amplitude: friction laws then part.",
     "u": "Record the same motion with larger and smaller inputs, and both signs of them.",
     "t": "Record steps and fast changes of the input, and the same input at another time.",
+}
+_WITHOUT_INPUTS = {
+    "y": "Record runs that start twice and half as far from rest: then springs part.",
+    "v": "Record runs that start slow and runs that start fast: friction laws then part.",
+    "t": "Record runs from other starting values, and from the same ones at another time.",
 }

@@ -26,7 +26,7 @@ def with_test_errors(
         records: of the fit, as they were read; their hold is that of the test records too.
         window: length of re-initialised runs [s]; None: chosen from the records.
     """
-    models = discovery.declared.plant, discovery.plant
+    models = discovery.plant_before, discovery.plant
     if not discovery.declared.status.fits or any(not_simulated(model) for model in models):
         return discovery
     alike = made_alike(test, records, discovery.found.records)

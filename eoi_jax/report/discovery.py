@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from eoi_jax.discovery.confirm import only_short
+from eoi_jax.discovery.confirm import drifts, only_short
 from eoi_jax.discovery.result import Added, Discovery, PartialExplanation, Texts
 from eoi_jax.models.effects import (
     INPUT_EFFECTS,
@@ -23,7 +23,7 @@ from eoi_jax.simulation.validate import Validation
 from eoi_jax.uncertainty.uncertainty import uncertainty
 
 _FORCES = ("N", "N m", "Nm", "N·m")
-_DRIFT = " (over whole records the free run drifts)"
+_DRIFT = " (over {} the free run drifts)"
 
 
 def discovery_text(discovery: Discovery) -> str:
@@ -419,14 +419,22 @@ def _free_run_errors(discovery: Discovery) -> str:
         return "no free run was possible"
     data = "the same data (no data held out)" if discovery.in_sample else "held-out data"
     errors = _compared(declared, augmented, discovery.changed)
-    extent, remark = (" in windows", _DRIFT) if windowed else (_extent(declared), "")
+    extent = " in windows" if windowed else _extent(declared)
     first, last = discovery.test_before, discovery.test_after
     if windowed:
         first, last = discovery.test_windows_before, discovery.test_windows_after
     unseen = ""
     if first is not None and last is not None:
         unseen = f"; on test data{extent} {_compared(first, last, discovery.changed)}"
-    return f"free-run error on {data}{extent} {errors}{unseen}{remark}"
+    drift = _drift(discovery.after, augmented) if windowed else ""
+    return f"free-run error on {data}{extent} {errors}{unseen}{drift}"
+
+
+def _drift(long_runs: Validation | None, windows: Validation) -> str:
+    """A remark where long free runs of the answer leave the record, and those in windows do not."""
+    if long_runs is None or not drifts(long_runs, windows):
+        return ""
+    return _DRIFT.format(_extent(long_runs).removeprefix(" in ") or "whole records")
 
 
 def _extent(runs: Validation) -> str:

@@ -1,9 +1,11 @@
 """Figures of an identification, of records and of validations: no numerical work."""
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+from jaxtyping import Float
 
 from eoi_jax.data.record import Record
 from eoi_jax.estimation.identify import Identification
@@ -31,6 +33,21 @@ from eoi_jax.report.time_series import (
     time_series_figure,
 )
 from eoi_jax.simulation.validate import Validation
+
+
+@dataclass(frozen=True)
+class IndexScale:
+    """What a figure of the index shows.
+
+    Attributes:
+        largest: index over the first finite one, up to which the axis reaches: the integral of a
+            pass that runs away may be any number. Beyond it, lines leave the figure at the top.
+    """
+
+    largest: float = 1e6
+
+
+_SCALE = IndexScale()
 
 
 @themed()
@@ -80,7 +97,7 @@ def _draw_index(axes: Any, results: Sequence[tuple[Identification, str]]) -> Non
     first = results[0][0]
     names, units = first.plant.outputs, first.plant.units
     single = len(names) == 1
-    marked = []
+    marked, top = [], max(map(_largest_drawn, (result.index for result, _ in results)))
     for k, (result, caption) in enumerate(results):
         passes = np.arange(1, len(result.index) + 1)
         for j, name in enumerate(names):
@@ -88,11 +105,14 @@ def _draw_index(axes: Any, results: Sequence[tuple[Identification, str]]) -> Non
             label = caption or with_unit(name, f"({unit})²" if unit else "")
             colour = series(k if caption and single else j)
             line_style = "--" if k and not single else "-"
-            axes.plot(passes, result.index[:, j], "o", ls=line_style, color=colour, label=label)
+            index = np.minimum(result.index[:, j], 10.0 * top)
+            axes.plot(passes, index, "o", ls=line_style, color=colour, label=label)
             marked.append((result.best_pass + 1, result.index[result.best_pass, j], colour))
     for best, value, colour in marked:
         axes.plot(best, value, "o", ms=10, mfc="none", mec=colour)
     logarithmic(axes.yaxis)
+    if any(np.any(result.index > top) for result, _ in results):
+        axes.set_ylim(top=top)
     axes.plot([], [], "o", ms=10, mfc="none", mec=text_colour(), label="best")
     count = max(len(result.index) for result, _ in results)
     axes.set_xticks(range(1, count + 1, max(count // 10, 1)))
@@ -101,6 +121,12 @@ def _draw_index(axes: Any, results: Sequence[tuple[Identification, str]]) -> Non
     unit = injection_unit(units.get(names[0]), first.plant.degrees[0])
     axes.set_ylabel(with_unit("index P", f"({unit})²" if unit and results[0][1] else ""))
     legend_above(axes)
+
+
+def _largest_drawn(index: Float[np.ndarray, "passes ny"]) -> float:
+    """Upper end of an axis with the index of each pass; infinite where none is finite."""
+    (finite,) = np.nonzero(np.all(np.isfinite(index), axis=1))
+    return _SCALE.largest * float(np.max(index[finite[0]])) if len(finite) else np.inf
 
 
 def injection_series(result: Identification, record: int = 0) -> TimeSeries:

@@ -14,7 +14,7 @@ def _label(record: Record, key: str) -> str:
 
 
 def record_text(record: Record) -> str:
-    """Length and sample period, a line for each channel, the hold, and notes."""
+    """Length and sample period, a line for each channel, the hold of the inputs, and notes."""
     h = record.sample_period
     size = f"{len(record)} samples, {len(record) * h:.4g} s, every {h:.6g} s ({1 / h:.5g} Hz)"
     lines = [f"Record `{record.name}`: {size}"]
@@ -34,7 +34,8 @@ def record_text(record: Record) -> str:
     hold = f"hold {hold_text(record.hold, record.input_names)}"
     if np.any(record.skew):
         hold += f" ({skew_text(record, record.skew)})"
-    facts = [hold, f"{100 * record.valid.mean():.4g} % valid"]
+    facts = [hold] if record.input_names else []
+    facts.append(f"{100 * record.valid.mean():.4g} % valid")
     if record.burn_in:
         facts.append(f"burn-in {record.burn_in:g} s")
     lines.append("  " + ", ".join(facts))

@@ -162,12 +162,16 @@ def returns(plant: Plant, records: Sequence[Record]) -> bool:
 def window_head(window: float, plant: Plant, records: Sequence[Record]) -> int:
     """Samples from which the start of a window is estimated, none of which is scored.
 
+    As many in all records: a share of the window, or of the shortest run where a record, or what
+    lies between two gaps of its inputs, is shorter than the window.
+
     Args:
         window: its length [s].
         plant: to judge.
         records: on these.
     """
-    count = window / max(record.sample_period for record in records)
+    runs = [max(stop - start for start, stop in record.input_segments()) for record in records]
+    count = min(window / max(record.sample_period for record in records), *runs)
     return max(round(RULES.head * count), plant.rows + len(plant.initial_internal) + 1)
 
 

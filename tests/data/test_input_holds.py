@@ -200,3 +200,9 @@ def test_pieces_of_a_long_record_have_a_hold_for_each_input():
     assert [piece.hold for piece in long] == [("zero", "linear")] * 2
     long = eoi.LongRecord(H, u, u[:, 1], piece=2000, overlap=0, hold=["smooth", "zero"])
     assert [piece.hold for piece in long] == [("smooth", "zero")] * 2
+
+
+def test_a_record_without_inputs_has_no_hold_in_its_text():
+    record = eoi.Record(np.arange(5.0), np.zeros((5, 0)), np.arange(5.0), input_names=())
+    assert "hold" not in str(record)
+    assert "100 % valid" in str(record)

@@ -210,6 +210,25 @@ def shaken(seed, count=300, amplitude=9.0, samples=8):
 
 
 @pytest.mark.slow
+def test_errors_before_are_those_of_the_refined_model_on_test_records_too(tmp_path):
+    """A store that nobody measures spoils the estimate of the passes, which predicts far worse."""
+    unseen = measured(3)
+    found = eoi.discover(PLATE, measured(1), measured(2), [effects.SecondNode()], test=unseen)
+    assert found.effects == ("second_node",)
+    assert found.base is not None
+    assert found.before is not None
+    assert found.test_before is not None
+    for held, runs in ((measured(2), found.before), (unseen, found.test_before)):
+        errors = [validate(plant, held, window=np.inf).rmse[0]
+                  for plant in (found.plant_before, found.declared.plant)]  # fmt: skip
+        assert runs.rmse[0] == pytest.approx(errors[0], rel=0.05)
+        assert errors[1] > 1.3 * errors[0]
+    found.save(tmp_path / "found.npz")
+    again = eoi.load(tmp_path / "found.npz", plant=PLATE)
+    assert again.plant_before.parameters == found.plant_before.parameters
+
+
+@pytest.mark.slow
 @pytest.mark.parametrize("shown", [True, False])
 def test_records_of_the_fit_confirm_what_few_held_out_ones_hardly_do(monkeypatch, shown):
     """There the errors fall by a fifth, of what shakes them; in the fit nearly all goes."""
@@ -280,6 +299,19 @@ def test_of_a_plant_that_is_unstable_windows_judge_where_whole_runs_are_lost():
     stable = Judge.of((measured(1),), PLATE)
     assert stable is not None
     assert stable.longest is None
+
+
+def test_of_a_plant_that_is_unstable_a_judge_takes_records_shorter_than_the_start_of_a_window():
+    records = upright(1, 600, friction=0.0), upright(2, 60, friction=0.0)[:40]
+    off = PLANT.with_parameters({"b": 1.02})
+    judge = Judge.of(records, off)
+    assert judge is not None
+    assert judge.longest is not None
+    assert judge.longest / records[0].sample_period > 40
+    assert judge.whole_head == 20
+    for run in judge.runs(off):
+        assert run is not None
+        assert all(np.any(scored) for scored in run.scored_at)
 
 
 def begun(hold="zero"):

@@ -127,6 +127,51 @@ def test_the_answer_says_that_long_runs_decided(monkeypatch, answer, long_ratio,
     assert len(notes) == len(effects_named)
 
 
+def test_the_number_in_the_answer_is_the_mean_that_it_says(monkeypatch, answer):
+    monkeypatch.setattr(in_free_runs, "long_run_ratio", lambda answer: 0.6)
+    found = eoi.discover(
+        PENDULUM, released(1, 20.0, 0.0), released(2, 15.0, 0.0), ["quadratic_drag"]
+    )
+    judged = in_free_runs.answered(found, answer, (), None)
+    pairs = (judged.before, judged.after), (judged.windows_before, judged.windows_after)
+    ratio = np.sqrt(np.prod([new.rmse[0] / old.rmse[0] for old, new in pairs]))
+    assert f"have {ratio:.3g} of the error of the refined" in judged.status.message
+    assert "(geometric mean of the errors of all outputs, in long runs" in judged.status.message
+
+
+@pytest.mark.parametrize(
+    ("excess", "nrmse", "code"),
+    [([], None, "nothing_missing"), (["more than noise"], None, "unexplained"),
+     ([], 2.0, "unexplained")],
+)  # fmt: skip
+def test_what_confirms_nothing_shows_nothing_to_be_missing_within_the_noise(
+    monkeypatch, answer, excess, nrmse, code
+):
+    """The windows of the declared model miss by less than twice the noise, as read off them.
+
+    Where a constant is better than the model that noise may be motion.
+    """
+    monkeypatch.setattr(in_free_runs, "long_run_ratio", lambda answer: 0.7)
+    monkeypatch.setattr(in_free_runs, "shown_by_all", lambda answer: False)
+    found = eoi.discover(
+        PENDULUM, released(1, 20.0, 0.0), released(2, 15.0, 0.0), ["quadratic_drag"]
+    )
+    assert in_free_runs.beyond_noise(answer.base.runs[1], answer.judging) == []
+    if excess:
+        monkeypatch.setattr(in_free_runs, "beyond_noise", lambda runs, records: excess)
+    moved = 1.0 if nrmse is None else nrmse / answer.base.runs[1].nrmse[0]
+    base, best = (
+        replace(model, runs=tuple(replace(run, nrmse=moved * run.nrmse) for run in model.runs))
+        for model in (answer.base, answer.best)
+    )
+    refined = replace(answer, base=base, best=best, better_base=True)
+    judged = in_free_runs.answered(found, refined, (), None)
+    assert (judged.status.code, judged.effects) == (code, ())
+    hints = [note for note in judged.notes if note.startswith("with coulomb_friction the errors")]
+    assert len(hints) == (code == "nothing_missing")
+    assert (judged.lead is None) == (code == "nothing_missing")
+
+
 @pytest.mark.parametrize(
     ("tried", "named"),
     [([effects.CoulombFriction()], ()),

@@ -13,6 +13,7 @@ from eoi_jax.discovery.free_run_trials import Search
 from eoi_jax.discovery.judge import Judge, Judged, noise_level, odds, probability_better
 from eoi_jax.discovery.probability import Contest, Standing, from_contests, from_sets
 from eoi_jax.discovery.result import Rival
+from eoi_jax.discovery.rivals import experiments
 from eoi_jax.models.augmented import place
 from eoi_jax.refinement.refine import refine_once
 from eoi_jax.simulation.validate import Validation
@@ -320,3 +321,16 @@ def test_a_ripple_needs_two_periods_within_the_range_of_the_records(wavenumber, 
     data = (record(np.sin(0.1 * np.arange(COUNT))),)
     search = Search(data, data, Judge(data, 1.0, 3, 3), (Judged(REFINEMENT, (), runs),))
     assert search._of_unknown_size(Judged(fit, (ripple,), runs)) == ([] if tells else [ripple])
+
+
+def test_the_experiment_that_is_advised_is_one_that_the_plant_allows():
+    """Without inputs the motion follows from where it starts."""
+    driven = eoi.Plant(lambda t, x, u, p: u - p.a * x.y[0], {"a": 1.0}, 1)
+    free = eoi.Plant(lambda t, x, u, p: -p.a * x.y[0], {"a": 1.0}, 1, inputs=())
+    names = ["constant_offset", "power_loss", "coulomb_friction", "input_saturation"]
+    for plant, word, absent in ((driven, "input", "start"), (free, "start", "input")):
+        sentences = [experiments(plant, [], [name]) for name in names]
+        assert all(word in sentence for sentence in sentences[:2])
+        assert not any(absent in sentence for sentence in sentences)
+        assert bool(sentences[-1]) is bool(plant.inputs)
+    assert experiments(free, [], []) == ""

@@ -11,6 +11,7 @@ from eoi_jax.discovery.remainder import _differ
 from eoi_jax.models.augmented import augmented, place
 from eoi_jax.models.effects import ConstantOffset
 from eoi_jax.refinement.refine import refine_once
+from eoi_jax.simulation.validate import judged_runs
 
 GAIN, LOSS, H = 0.01, 0.005, 5.0
 PLANT = eoi.Plant(
@@ -107,6 +108,10 @@ def test_a_store_does_not_stand_in_for_a_slope_of_each_run():
     assert found.status.code == "unexplained"
     assert "the records differ in a constant at v" in found.status.message
     assert not found.effects
+    assert found.base is None
+    assert found.before is found.after
+    np.testing.assert_allclose(found.after.rmse, judged_runs(found.plant, third).rmse)
+    assert not any("errors before are those" in note for note in found.notes)
     own = with_own_offsets(ROAD, 0, (up, down), None)
     assert own is not None
     assert own.records == (1,)  # f0 is that of the first

@@ -9,7 +9,8 @@ from found import discovery
 from scipy.integrate import solve_ivp
 
 import eoi_jax as eoi
-from eoi_jax.discovery.additions import sign_notes
+from eoi_jax.discovery.additions import fit_notes, sign_notes
+from eoi_jax.estimation.covariance import computed
 
 H = 0.02
 NOMINAL = {"gain": 12.0, "stiffness": 40.0, "damping": 1.0}
@@ -63,3 +64,24 @@ def test_a_parameter_that_came_out_with_the_other_sign_is_told(errors, fixed, sa
     notes = sign_notes(fit.nominal.declared_anew(fixed=fixed), turned)
     assert len(notes) == said
     assert all(note.startswith(f"spring is {value:.3g}") for note in notes)
+
+
+@pytest.mark.parametrize(
+    ("value", "error", "fixed", "said"),
+    [(-5e38, 1e73, (), 1), (5e38, 1e73, (), 1), (3.0, 40.0, (), 1), (0.1, 1.0, (), 0),
+     (-0.1, 1.0, (), 0), (20.0, 15.0, (), 0), (20.0, np.nan, (), 0), (5e38, 1e73, ("spring",), 0)],
+)  # fmt: skip
+def test_a_parameter_of_which_not_even_the_magnitude_is_told_is_said_so(value, error, fixed, said):
+    """Its nominal value is 15: one near zero with a standard error of 1 is told to be small."""
+    fit = discovery().found
+    certainty = computed(fit.certainty)
+    errors = {**certainty.standard_errors, "spring": error}
+    changed = replace(
+        fit, parameters={**fit.parameters, "spring": value},
+        certainty=replace(certainty, standard_errors=errors),
+    )  # fmt: skip
+    assert changed.standard_errors["spring"] is error
+    plant = fit.nominal.declared_anew(fixed=fixed)
+    notes = [note for note in fit_notes(plant, (), changed) if "do not tell" in note]
+    assert len(notes) == said
+    assert all(f"spring: it is {value:.3g} with" in note for note in notes)

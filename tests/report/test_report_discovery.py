@@ -130,6 +130,22 @@ def test_where_whole_runs_drift_the_answer_speaks_of_short_ones(found, factor):
     assert ("Free-run error of position, held-out data, windows", short[1]) in tiles
 
 
+def test_a_free_run_is_said_to_drift_only_where_it_does(found):
+    """Whole runs that grow by a hundredth, and are hardly worse than those in windows."""
+    before, after = found.windows_before, worse(found.windows_before, 0.9)
+    long_runs = worse(found.before, before.rmse / found.before.rmse)
+    alike = dataclasses.replace(
+        found, before=long_runs, after=worse(long_runs, 1.01), windows_after=after
+    )
+    assert "in windows" in answer(alike)
+    assert "drifts" not in answer(alike)
+    lost = dataclasses.replace(
+        alike, before=dataclasses.replace(long_runs, window=4.0),
+        after=dataclasses.replace(worse(long_runs, 2.0), window=4.0),
+    )  # fmt: skip
+    assert answer(lost).endswith("(over windows of 4 s the free run drifts).")
+
+
 def test_where_short_runs_are_no_better_the_answer_speaks_of_whole_ones(found):
     bad = dataclasses.replace(
         found,

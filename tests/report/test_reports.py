@@ -1,7 +1,10 @@
 """Tables and figures show what the result holds."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
+from matplotlib.backends.backend_agg import FigureCanvasAgg
 
 from eoi_jax.data import excitation
 from eoi_jax.estimation.identify import Identification, identify
@@ -91,6 +94,26 @@ def test_the_figure_has_the_index_and_one_panel_for_each_output(result: Identifi
     assert panels[-1].get_xlabel() == "time [s]"
     legend = [text.get_text() for text in panels[1].get_legend().get_texts()]
     assert legend == ["pass 1", f"pass {result.best_pass + 1} (best)"]
+
+
+def test_an_index_of_passes_that_run_away_is_drawn_as_far_as_it_says_something(result):
+    """On an axis to 1e300 the others would be one line, and its ends no floating-point numbers."""
+    lost = np.repeat([[1e300], [np.inf], [np.nan]], 3, axis=1)
+    count = len(result.parameters)
+    longer = replace(
+        result, index=np.r_[result.index, lost],
+        increments=np.r_[result.increments, np.zeros((3, count))],
+        parameter_history=np.r_[result.parameter_history, np.zeros((3, count))],
+    )  # fmt: skip
+    figure = figures.index_figure([(longer, "")])
+    FigureCanvasAgg(figure).draw()
+    (axes,) = figure.axes
+    low, high = axes.get_ylim()
+    assert low < np.min(result.index) < np.max(result.index) < high < 1e12 * np.max(result.index)
+    drawn = np.asarray(axes.lines[0].get_ydata())
+    np.testing.assert_array_equal(drawn[:-3], result.index[:, 0])
+    assert np.all(drawn[-3:-1] > high)
+    assert np.isnan(drawn[-1])
 
 
 def test_the_drawn_injection_reaches_the_peaks_of_the_computed_one(result: Identification):

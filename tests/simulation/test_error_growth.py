@@ -94,6 +94,17 @@ def test_an_unstable_plant_is_judged_in_windows_and_the_note_says_how_many():
     assert f"in windows of {run.window:g} s" in str(run)
 
 
+def test_a_record_that_is_shorter_than_the_start_of_a_window_is_judged_too():
+    """Half of a window is its start: of a record shorter than that nothing would be left."""
+    alone = eoi.validate(second_order(), balanced())
+    count = round(0.4 * alone.window / PERIOD)
+    run = eoi.validate(second_order(), [balanced(), balanced(count, seed=2)])
+    assert run.window == pytest.approx(alone.window, rel=0.3)
+    assert [int(scored.sum()) > 0 for scored in run.scored_at] == [True, True]
+    assert run.scored_at[1].sum() == count - round(0.5 * count)
+    assert run.nrmse[0] < 0.1
+
+
 def test_a_whole_run_can_be_asked_for():
     run = eoi.validate(second_order(), balanced(), window=np.inf)
     assert run.window is None
