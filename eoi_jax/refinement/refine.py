@@ -41,6 +41,7 @@ from eoi_jax.refinement.estimate import (
     DIVERGED,
     NO_DATA,
     compared_with,
+    notes_on_runs,
     refinement_of,
     unanswered,
 )
@@ -304,12 +305,15 @@ def _answered(
     def cost(refined: Refinement) -> float:
         return refined.cost
 
+    shared = notes_on_runs(result)
     result = with_start_check(without_runaways(nominal, result, refit, cost), refit)
     if not result.status.ok or not held_out:
         return result
     held_out = made_alike(held_out, records, result.records)
     before, after = validated_alike((nominal, result.plant), held_out)
-    return _start_kept(nominal, result, question, before, after) if worse(before, after) else result
+    if not worse(before, after):
+        return result
+    return _start_kept(nominal, replace(result, notes=shared), question, before, after)
 
 
 def _with_best_hold(
@@ -399,7 +403,15 @@ def _start_kept(
     before: Validation,
     after: Validation,
 ) -> Refinement:
-    """The start as the answer, with the certainty that the runs of a fit give it."""
+    """The start as the answer, with the certainty that the runs of a fit give it.
+
+    Args:
+        nominal: the start.
+        result: of the fit, with the notes that hold for the start as well.
+        question: asked of `refine`.
+        before: free runs of the start on held-out records.
+        after: those of the fit.
+    """
     spans = spans_of(result.records, result.window)
     problem, unknowns, sensitivities = first_runs(nominal, result.records, spans, question.substeps)
     error = unweighed(problem, sensitivities)
