@@ -306,7 +306,8 @@ def _answered(
         return refined.cost
 
     shared = notes_on_runs(result)
-    result = with_start_check(without_runaways(nominal, result, refit, cost), refit)
+    as_they_are = partial(_refined, question=replace(single, is_trial=True))
+    result = with_start_check(without_runaways(nominal, result, refit, cost), as_they_are)
     if not result.status.ok or not held_out:
         return result
     held_out = made_alike(held_out, records, result.records)
