@@ -39,7 +39,6 @@ from eoi_jax.estimation.identify import Identification
 from eoi_jax.estimation.identify import identify as run_passes
 from eoi_jax.refinement.refine import refine as run_refinement
 from eoi_jax.refinement.result import Refinement
-from eoi_jax.refinement.windowed import worse
 from eoi_jax.report.discovery import answer, discovery_text
 from eoi_jax.report.sweep import sweep_text
 from eoi_jax.report.tables import identification_text, refinement_text
@@ -57,8 +56,6 @@ _LOST = (
     "free runs of the estimate predict {} of the held-out records worse than a constant: do not "
     "trust it. `eoi refine` fits free runs, from the nominal values too where these are better"
 )
-# Statuses of passes whose estimate is refined as it is.
-_ENDED = ("converged", "undersampled")
 # Statuses of a discovery whose results are written.
 _ANSWERS = ("complete", "partial", "nothing_missing", "unexplained")
 
@@ -539,59 +536,28 @@ def _unseen_notes(job: run_folder.Job) -> list[str]:
 def _refine(
     job: run_folder.Job, start: Identification, progress: ProgressCallback | None
 ) -> tuple[Refinement, Validation | None]:
-    """Refine the estimate of the passes by output error, and validate the result.
-
-    Where the passes have no estimate the nominal values are refined; both are where the passes did
-    not come to an end, or to one whose free runs are worse than those of the nominal values, and
-    the better fit of the two is the answer.
-    """
-    table = job.settings.refine
+    """Refine the estimate of the passes by output error, and validate the result."""
+    table, loop = job.settings.refine, job.loop
 
     def report_step(number: int, limit: int) -> None:
         assert progress is not None
         progress("free-run fit, step", number, limit, "at most")
 
-    loop, begin = job.loop, {}
-    records, held_out = (loop or job).records, (loop or job).held_out
-    if start.status.ok:
-        begin["estimate of the passes"] = start.plant
-    refuted = start.status.ok and loop is None and _is_refuted(start)
-    if start.status.code not in _ENDED or refuted:
-        begin["nominal values"] = start.nominal
-    fits = {
-        name: run_refinement(
-            plant,
-            records,
-            window=table.window,
-            substeps=table.substeps,
-            max_steps=table.max_steps,
-            starts=table.starts,
-            rounds=table.rounds,
-            validation=held_out or None,
-            callback=None if progress is None else report_step,
-            controller=None if loop is None else loop.controller,
-        )
-        for name, plant in begin.items()
-    }
-    name, result = min(fits.items(), key=lambda fit: (not fit[1].status.ok, fit[1].cost))
+    result = run_refinement(
+        start,
+        (loop or job).records,
+        window=table.window,
+        substeps=table.substeps,
+        max_steps=table.max_steps,
+        starts=table.starts,
+        rounds=table.rounds,
+        validation=(loop or job).held_out or None,
+        callback=None if progress is None else report_step,
+        controller=None if loop is None else loop.controller,
+    )
     notes = *_hold_notes(job.settings), *_unseen_notes(job)
     result = replace(result, notes=(*result.notes, *notes))
-    if start.status.code not in _ENDED:
-        note = f"refined from the {name}: the passes ended as {start.status.code}"
-        result = replace(result, notes=(*result.notes, note))
-    elif refuted:
-        note = f"refined from the {name}: free runs of the estimate of the passes are worse"
-        result = replace(result, notes=(*result.notes, f"{note} than those of the nominal values"))
     return result, _validate(result, job)
-
-
-def _is_refuted(start: Identification) -> bool:
-    """Whether an estimate of the passes simulates its own records worse than the nominal values.
-
-    Noise that hides the motion, or a pole of the equations between the two, leads passes astray.
-    """
-    nominal_runs, runs = validated_alike((start.nominal, start.plant), start.records)
-    return worse(nominal_runs, runs)
 
 
 def _validate(result: Identification | Refinement, job: run_folder.Job) -> Validation | None:

@@ -283,9 +283,13 @@ class Record(Result):
         """
         check(bool(0 < fraction < 1), "fraction", "must lie in (0, 1)", fraction)
         cut = round(float(fraction) * len(self))
-        first, second = self[:cut], self[cut:]
-        second._assign({"_continues": True})
-        return first, second
+        return self[:cut], self[cut:].continuing()
+
+    def continuing(self) -> "Record":
+        """The same samples as those of a record that begins in the middle of a run."""
+        new = self._changed(None)
+        new._assign({"_continues": True})
+        return new
 
     def with_outputs(self, outputs: Outputs, name: str, simulated: Mask | None = None) -> "Record":
         """The same instants and inputs with simulated outputs.

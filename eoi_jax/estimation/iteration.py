@@ -90,8 +90,13 @@ class Iteration(eqx.Module):
 
     @property
     def predicted_reduction(self) -> Float[np.ndarray, " lanes"]:
-        """Share of the index that Δθ explains if φ does not change: Δθᵀ Σφᵀu_eq / Σu_eq²."""
-        gain = np.einsum("lj,lja,la->l", self.weights, self.sums.rhs, self.increment)
+        """Share of the index that least squares explains if φ does not change.
+
+        Of the full step of (11) within the bounds, Δθᵀ Σφᵀu_eq / Σu_eq²: one that is damped, or cut
+        to the largest change of a parameter, falls short of what there is to gain.
+        """
+        step = np.asarray(self.solution.increment)
+        gain = np.einsum("lj,lja,la->l", self.weights, self.sums.rhs, step)
         power = np.einsum("lj,lj->l", self.weights, self.sums.square)
         return gain / np.maximum(power, np.finfo(float).tiny)
 

@@ -88,7 +88,7 @@ def held_runaways(
         }
         is_last = all(fixed_values[name] == values[name] for name in names)
         refitted = refit(plant.declared_anew({**values, **fixed_values}, fixed=names))
-        as_good = is_last or cost(refitted) <= cost(fit) + _SETTINGS.max_rise
+        as_good = is_last or is_as_good(cost(refitted), cost(fit))
         if refitted.status.ok and as_good:
             break
         if is_last:
@@ -99,6 +99,11 @@ def held_runaways(
         for name in names
     ]  # fmt: skip
     return replace(refitted, nominal=plant, notes=(*refitted.notes, *notes))
+
+
+def is_as_good(held: float, free: float) -> bool:
+    """Whether a fit with parameters held is as good as one with them free, by their `cost`."""
+    return held <= free + _SETTINGS.max_rise
 
 
 _RAN_OFF = (

@@ -123,13 +123,19 @@ def internal_start_of(internal: Any, initial: Any) -> Any:
     return initial if callable(initial) else tuple(float(value) for value in initial)
 
 
-def contradiction(plant: Any, values: Sequence[tuple[str, Float[np.ndarray, " own"]]]) -> str:
+def contradiction(
+    plant: Any,
+    values: Sequence[tuple[str, Float[np.ndarray, " own"]]],
+    internal: Sequence[Sequence[tuple[str, float, float]]] = (),
+) -> str:
     """A sentence on known starts that records contradict.
 
     Args:
         plant: a `Plant` that knows them.
         values: name of each record, and what fits it: the states of the outputs, one output after
             the other.
+        internal: of each record, name of each internal state, what fits it and what is declared;
+            empty without them.
     """
     declared = plant.initial
     states = [(name, row) for name, degree in zip(plant.outputs, plant.degrees, strict=True)
@@ -141,8 +147,10 @@ def contradiction(plant: Any, values: Sequence[tuple[str, Float[np.ndarray, " ow
             start = declared[name][row] if name in declared else None
             if start is not None:
                 derivative = name + "'" * row
-                fits.append(f"{derivative} {value:.3g}, not {start:g}")
-        parts.append(f"{record} {', '.join(fits)}")
+                fits.append((derivative, value, start))
+        fits += internal[len(parts)] if internal else []
+        text = ", ".join(f"{name} {value:.3g}, not {start:g}" for name, value, start in fits)
+        parts.append(f"{record} {text}")
     shown = parts[:_MOST_SHOWN] + (["…"] if len(parts) > _MOST_SHOWN else [])
     return (
         "the known start contradicts the records: free, it would be, by record: "

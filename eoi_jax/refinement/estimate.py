@@ -66,7 +66,7 @@ def refinement_of(
         window,
         _status(fit, certainty.lost, factors),
         (
-            *(f"{name} ended on its bound, {plant.parameters[name]:g}" for name in bound),
+            *(_ON_BOUND.format(name, plant.parameters[name]) for name in bound),
             *_unsettled(fit),
             *wrapped_notes(records),
             *_restarts(records, spans),
@@ -112,7 +112,16 @@ def _unsettled(fit: Fit) -> tuple[str, ...]:
     if not fit.unsettled > 0 or not np.isfinite(fit.unsettled):
         return ()
     change = f"{percent(fit.unsettled)} after {counted(fit.fits, 'fit')}"
-    return (f"the weights of the outputs still changed by {change}; refine again from here",)
+    return (_UNSETTLED.format(change),)
+
+
+def notes_on_runs(result: Refinement) -> tuple[str, ...]:
+    """Notes that hold for its runs whatever the parameters are: not of bounds and weights."""
+    on_bound = {_ON_BOUND.format(*item) for item in result.parameters.items()}
+    unsettled = _UNSETTLED.partition("{")[0]
+    return tuple(
+        note for note in result.notes if note not in on_bound and not note.startswith(unsettled)
+    )
 
 
 def _restarts(records: Sequence[Record], spans: Sequence[Span]) -> list[str]:
@@ -248,6 +257,8 @@ def unanswered(
     )  # fmt: skip
 
 
+_ON_BOUND = "{} ended on its bound, {:g}"
+_UNSETTLED = "the weights of the outputs still changed by {}; refine again from here"
 NO_DATA = "no sample is left to score: the records are masked, or shorter than their burn-in"
 DIVERGED = (
     "the free run from the starting parameters does not stay finite: start from other parameters "

@@ -41,6 +41,7 @@ from eoi_jax.refinement.estimate import (
     DIVERGED,
     NO_DATA,
     compared_with,
+    notes_on_runs,
     refinement_of,
     unanswered,
 )
@@ -56,6 +57,7 @@ from eoi_jax.refinement.fit import (
     watching,
 )
 from eoi_jax.refinement.free_run_sums import signals
+from eoi_jax.refinement.from_passes import refined_from
 from eoi_jax.refinement.in_loop import refined_in_loop
 from eoi_jax.refinement.multistart import best, points_of
 from eoi_jax.refinement.problem import (
@@ -141,7 +143,9 @@ def refine(
     shifted; notes give the evidence. Held-out records are taken to be made alike.
 
     Args:
-        plant: the model with the parameters to start from, or an identification.
+        plant: the model with the parameters to start from, or an identification. Where its passes
+            did not come to an end, hold a parameter, or simulate the records worse than the nominal
+            values, these are refined as well; the better fit is the answer, and a note says which.
         records: one or several; masked samples and a record's burn-in are not scored, each output
             by itself. Where an input is unknown the run ends, and another one starts behind it.
         window: length of each run [s], about: every record is cut into runs of equal length, of a
@@ -198,13 +202,15 @@ def refine(
         section 6.3; loss: P. J. Huber, *Robust Statistics*, section 7.8; covariance:
         `estimation/regression/robust_covariance.py`.
     """
-    nominal = plant.plant if isinstance(plant, Identification) else plant
+    fit = partial(refine, substeps=substeps, max_steps=max_steps, huber=huber, callback=callback)
+    fully = partial(fit, window=window, starts=starts, rounds=rounds)
+    if isinstance(plant, Identification):
+        again = partial(fully, records=records, validation=validation, controller=controller)
+        return refined_from(plant, again, controller is not None)
+    nominal = plant
     if controller is not None:
-        fit = partial(refine, substeps=substeps, max_steps=max_steps, huber=huber,
-                      callback=callback)  # fmt: skip
         open_loop = fit if window is None and starts is None else None
-        fit = partial(fit, window=window, starts=starts, rounds=rounds)
-        return refined_in_loop(fit, nominal, records, validation, controller, open_loop)
+        return refined_in_loop(fully, nominal, records, validation, controller, open_loop)
     records = check_records(nominal, records)
     held_out = () if validation is None else check_records(nominal, validation)
     if window is not None and window != np.inf:
@@ -218,31 +224,7 @@ def refine(
           "Say how many points each round draws, for example `starts=200`.")  # fmt: skip
     question = _Question(window, substeps, Effort(max_steps, watching(callback, max_steps)), points,
                          starts is not None, rounds, huber)  # fmt: skip
-    result, complete = _with_best_hold(nominal, records, question)
-    for _ in range(_SETTINGS.halvings):
-        if complete or window is not None or result.window is None:
-            break
-        shorter = replace(question, window=0.5 * result.window)
-        result, complete = _with_best_hold(nominal, records, shorter)
-    if window is None and result.window is not None:
-        result = settled(result, partial(_again, question, nominal))
-    if not result.status.fits:
-        return result
-    single = replace(question, points=points[:0], many_starts=False, rounds=1)
-    single = replace(single, window=result.window if window is None else window)
-
-    def refit(model: Plant) -> Refinement:
-        return _with_best_hold(model, records, single)[0]
-
-    def cost(refined: Refinement) -> float:
-        return refined.cost
-
-    result = with_start_check(without_runaways(nominal, result, refit, cost), refit)
-    if not result.status.ok or not held_out:
-        return result
-    held_out = made_alike(held_out, records, result.records)
-    before, after = validated_alike((nominal, result.plant), held_out)
-    return _start_kept(nominal, result, question, before, after) if worse(before, after) else result
+    return _answered(nominal, records, held_out, question)
 
 
 def refine_once(
@@ -298,6 +280,41 @@ class _Question:
     huber: float | None
     from_passes: bool = False
     is_trial: bool = False
+
+
+def _answered(
+    nominal: Plant, records: tuple[Record, ...], held_out: tuple[Record, ...], question: _Question
+) -> Refinement:
+    """The answer of `refine`: in windows that hold, checked, and judged on the held-out records."""
+    result, complete = _with_best_hold(nominal, records, question)
+    for _ in range(_SETTINGS.halvings):
+        if complete or question.window is not None or result.window is None:
+            break
+        shorter = replace(question, window=0.5 * result.window)
+        result, complete = _with_best_hold(nominal, records, shorter)
+    if question.window is None and result.window is not None:
+        result = settled(result, partial(_again, question, nominal))
+    if not result.status.fits:
+        return result
+    single = replace(question, points=question.points[:0], many_starts=False, rounds=1)
+    single = replace(single, window=result.window if question.window is None else question.window)
+
+    def refit(model: Plant) -> Refinement:
+        return _with_best_hold(model, records, single)[0]
+
+    def cost(refined: Refinement) -> float:
+        return refined.cost
+
+    shared = notes_on_runs(result)
+    as_they_are = partial(_refined, question=replace(single, is_trial=True))
+    result = with_start_check(without_runaways(nominal, result, refit, cost), as_they_are)
+    if not result.status.ok or not held_out:
+        return result
+    held_out = made_alike(held_out, records, result.records)
+    before, after = validated_alike((nominal, result.plant), held_out)
+    if not worse(before, after):
+        return result
+    return _start_kept(nominal, replace(result, notes=shared), question, before, after)
 
 
 def _with_best_hold(
@@ -387,7 +404,15 @@ def _start_kept(
     before: Validation,
     after: Validation,
 ) -> Refinement:
-    """The start as the answer, with the certainty that the runs of a fit give it."""
+    """The start as the answer, with the certainty that the runs of a fit give it.
+
+    Args:
+        nominal: the start.
+        result: of the fit, with the notes that hold for the start as well.
+        question: asked of `refine`.
+        before: free runs of the start on held-out records.
+        after: those of the fit.
+    """
     spans = spans_of(result.records, result.window)
     problem, unknowns, sensitivities = first_runs(nominal, result.records, spans, question.substeps)
     error = unweighed(problem, sensitivities)

@@ -5,10 +5,13 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from eoi_jax.data.record import Record
 from eoi_jax.estimation.regression.robust_covariance import correlation_time
+from eoi_jax.models.effects.effect import internal_names
 from eoi_jax.models.known_starts import contradiction
 from eoi_jax.models.plant import Plant
 from eoi_jax.refinement.result import Refinement
+from eoi_jax.refinement.spans import spans_of, starts_record
 from eoi_jax.simulation.initial_state import owned
 
 
@@ -22,32 +25,40 @@ class StartCheckSettings:
 _SETTINGS = StartCheckSettings()
 
 
-def with_start_check(result: Refinement, refit: Callable[[Plant], Refinement]) -> Refinement:
+def with_start_check(
+    result: Refinement, refit: Callable[[Plant, tuple[Record, ...]], Refinement]
+) -> Refinement:
     """A refinement, with a note where it fits better than by chance with its known starts free.
 
-    The known starts stay. Of N residuals only N over their correlation time are independent: the
-    likelihood ratio of these is χ² with as many degrees of freedom as there are known starts.
+    Known are those of outputs that the plant declares, and those of internal states; they stay. Of
+    N residuals only N over their correlation time are independent: the likelihood ratio of these is
+    χ² with as many degrees of freedom as there are known starts.
 
     Args:
         result: with a fit.
-        refit: makes another one from a plant, on the same runs.
+        refit: makes another one from a plant along records, in runs of the same length.
     """
-    plant = result.plant
-    is_known = np.isfinite(plant.known_start)
-    if not plant.start_items or not result.starts:
+    plant, records = result.plant, result.records
+    begins = [i for i, span in enumerate(spans_of(records, result.window))
+              if starts_record(records, span)]  # fmt: skip
+    known = int(np.sum(np.isfinite(plant.known_start))) + plant.unknown_internal
+    if not known or not begins:
         return result
-    freed = refit(plant.declared_anew(initial={}))
-    if not freed.status.fits:
+    freed = refit(plant, tuple(record.continuing() for record in records))
+    if not freed.status.fits or freed.window != result.window:
         return result
-    declared = plant.known_start[is_known]  # exactly where runs start that begin with their record
-    begins = [i for i, start in enumerate(result.starts)
-              if np.array_equal(start.y[is_known], declared)]  # fmt: skip
     independent = min(_independent(freed, j) for j in range(len(plant.outputs)))
-    entries = int(np.sum(is_known)) * len(begins)
-    if _chance(independent * (result.cost - freed.cost), entries) >= _SETTINGS.chance:
+    if _chance(independent * (result.cost - freed.cost), known * len(begins)) >= _SETTINGS.chance:
         return result
     values = [(freed.starts[i].record, freed.starts[i].y[owned(plant)]) for i in begins]
-    return replace(result, notes=(*result.notes, contradiction(plant, values)))
+    internal = [_internal(plant, freed.starts[i].z, result.starts[i].z) for i in begins]
+    return replace(result, notes=(*result.notes, contradiction(plant, values, internal)))
+
+
+def _internal(plant: Plant, free: np.ndarray, declared: np.ndarray) -> list:
+    """Name of each internal state whose start may be any value, what fits it, what is declared."""
+    states = zip(internal_names(plant), free, declared, strict=True)
+    return [state for state, is_open in zip(states, plant.open_internal, strict=True) if is_open]
 
 
 def _independent(result: Refinement, output: int) -> float:

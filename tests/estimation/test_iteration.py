@@ -117,3 +117,23 @@ def test_a_bound_of_one_lane_does_not_touch_the_other():
     inverse = np.linalg.inv([[2.0, 0.5], [0.5, 1.0]])
     np.testing.assert_allclose(found.solution.inverse[1], [[0.0, 0.0], [0.0, 1.0]], atol=1e-12)
     np.testing.assert_allclose(found.solution.inverse[0], inverse)
+
+
+def low_passed(nominal: float) -> eoi.Identification:
+    """Of 0.2 s, from a time constant T of which 1/T is all that f knows."""
+    draw, period = np.random.default_rng(3), 0.02
+    u, y = np.repeat(draw.uniform(-1.0, 1.0, 60), 10), np.zeros(600)
+    for k in range(599):
+        y[k + 1] = u[k] + (y[k] - u[k]) * np.exp(-period / 0.2)
+    record = eoi.Record.from_period(period, u, y, hold="zero")
+    return eoi.identify(eoi.Plant(lambda t, x, u, p: (u - x.y[0]) / p.T, {"T": nominal}, 1), record)
+
+
+def test_steps_cut_to_the_largest_change_are_no_convergence():
+    """From far off the index stands still while T falls by a factor of eight in each pass."""
+    far, near = low_passed(2e8), low_passed(2.0)
+    np.testing.assert_allclose(far.parameters["T"], 2e8 / 8.0 ** (len(far.index) - 1))
+    assert far.status.code == "stalled"
+    assert "promises to lower it by 100% more" in far.status.message
+    assert near.status.code == "converged"
+    np.testing.assert_allclose(near.parameters["T"], 0.2, rtol=1e-3)

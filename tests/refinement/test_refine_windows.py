@@ -1,9 +1,13 @@
 """Refinement of unstable plants in windows, and starts that held-out records prefer."""
 
+import functools
+import importlib
+
 import numpy as np
 import pytest
 
 import eoi_jax as eoi
+from eoi_jax.refinement.fit import fitted
 from tests.simulation.test_error_growth import NOISE, balanced, second_order
 
 TRUTH = {"a": 25.0, "b": 1.0, "c": 4.0}
@@ -104,3 +108,20 @@ def test_where_passes_lead_nowhere_either_it_is_refused_with_what_to_do():
     assert refined.status.code == "diverged"
     assert "passes over the records lead to none that do better" in refined.status.message
     assert refined.parameters == plant.parameters
+
+
+def test_a_start_that_is_kept_has_no_advice_on_the_fit_that_is_not(monkeypatch):
+    module = importlib.import_module("eoi_jax.refinement.refine")
+    monkeypatch.setattr(module, "fitted", functools.partial(fitted, reweightings=0))
+    u = np.repeat(np.random.default_rng(3).standard_normal(20), 20)
+    ours, held_out = (
+        eoi.simulate(second_order(a=a), 0.01 * np.arange(400), u) for a in (-25.0, -30.0)
+    )
+    start = second_order(a=-30.0).declared_anew(bounds={"a": (-32.0, -26.0)})
+    found = eoi.refine(start, ours, huber=1.345)
+    assert any("a ended on its bound" in note for note in found.notes)
+    assert any("refine again from here" in note for note in found.notes)
+    kept = eoi.refine(start, ours, huber=1.345, validation=held_out)
+    assert kept.status.code == "start_kept"
+    assert kept.parameters == start.parameters
+    assert not any("bound" in note or "refine again" in note for note in kept.notes)

@@ -111,6 +111,29 @@ def test_a_start_that_the_records_contradict_is_said_and_stays():
     assert not any("known start" in note for note in eoi.refine(pendulum(), moving).notes)
 
 
+def stored(second: float) -> eoi.Record:
+    """The first of two stores of heat; the second one, which is not measured, starts there."""
+    time = PERIOD * np.arange(200)
+    y = solved(
+        lambda _, x: [3.0 * (x[1] - x[0]), 0.5 * (x[0] - x[1]) - 0.4 * x[1]], 1.0, second, time
+    )
+    y = y + NOISE * np.random.default_rng(4).standard_normal(200)
+    return eoi.Record(time, np.zeros((200, 0)), y, "cut", output_names=["hot"])
+
+
+def test_the_start_of_an_internal_state_that_the_records_contradict_is_said_and_stays():
+    rates = {"hot": "a*(core - hot)", "core": "0.5*(hot - core) - b*core"}
+    plant = eoi.plant_from_text(
+        rates, {"a": 3.0, "b": 0.5}, ["hot"], initial={"core": 0.0}, fixed=["a"]
+    )
+    right, moving = (eoi.refine(plant, stored(second)) for second in (0.0, 0.8))
+    assert not any("known start" in note for note in right.notes)
+    (note,) = [note for note in moving.notes if "known start" in note]
+    assert moving.starts[0].z == 0.0
+    assert "by record: cut core 0.8" in note or "by record: cut core 0.7" in note
+    assert "not 0." in note
+
+
 def test_a_free_run_starts_by_default_where_the_plant_knows_it():
     time, nothing = PERIOD * np.arange(20), np.zeros((20, 0))
     plant = pendulum({"angle": "pi/4"}, **TRUE)
