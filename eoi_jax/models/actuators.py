@@ -1,0 +1,15 @@
+"""What is known of an actuator, a function of the inputs of a plant along a record."""
+
+from typing import Any
+
+
+def keeps_steps(actuator: Any, count: int) -> tuple[bool, ...]:
+    """Which of `count` inputs come out of an actuator held if they were; None keeps them all."""
+    query = getattr(actuator, "keeps_steps", None)
+    return (actuator is None,) * count if query is None else query(count)
+
+
+def are_linear(actuator: Any, count: int) -> tuple[bool, ...]:
+    """In which of `count` inputs an actuator is linear; one of the user's is taken to be."""
+    query = getattr(actuator, "are_linear", None)
+    return (True,) * count if query is None else query(count)
