@@ -198,18 +198,11 @@ class Record(Result):
         masks = u_valid & measured.all(axis=1), certain, measured
         self._set(inputs, outputs, masks, grid.time, grid.sample_period)
         labels = {
-            "name": name,
-            "input_names": u_names,
-            "output_names": y_names,
-            "units": dict(units or {}),
-            "hold": input_hold,
-            "hold_declared": hold != "auto",
-            "burn_in": float(burn_in),
-            "notes": (*notes, *hold_notes, *grid.notes),
-            "smoothed": (),
-            "_noise": noise,
-            "_quantum": quantum,
-        }
+            "name": name, "input_names": u_names, "output_names": y_names,
+            "units": dict(units or {}), "hold": input_hold, "hold_declared": hold != "auto",
+            "burn_in": float(burn_in), "notes": (*notes, *hold_notes, *grid.notes),
+            "smoothed": (), "_noise": noise, "_quantum": quantum,
+        }  # fmt: skip
         self._assign(labels)
 
     @classmethod

@@ -87,15 +87,15 @@ def plan(
     needs = np.maximum(np.ceil(valid_share * most).astype(int), required)
     fewest = int(np.argmin(most - needs))
     available, need = int(most[fewest]), int(needs[fewest])
-    enough = np.all(valid_by_output >= needs, axis=1)
-    possible = enough & np.any(record.output_valid[: len(enough)], axis=1)
+    sufficient = np.all(valid_by_output >= needs, axis=1)
+    possible = sufficient & np.any(record.output_valid[: len(sufficient)], axis=1)
     starts, predicted, late, lost, score = [], [], 0, 0, np.zeros(total, dtype=bool)
     for first in range(0, total - 1, count):
         # The last window reaches back, so that all have the same length and run together.
         start = min(first, total - 1 - count)
         # A window ends before the first sample of the next; the last includes the last sample.
         stop = start + count + (start + count == total - 1)
-        if not enough[start]:
+        if not sufficient[start]:
             (offsets,) = np.nonzero(possible[start : max(stop - head, start)])
             if not len(offsets):
                 lost += 1

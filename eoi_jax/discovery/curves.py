@@ -100,11 +100,11 @@ def with_curves(
     if settled is None or not tells_its_curve(settled):
         return discovery
     answer = FreeRunAnswer.of(search, settled, declared.plant)
-    found = answered(discovery, answer, (), lowpass)
-    if found is discovery or (explained and contradicts_injection(found, discovery)):
+    outcome = answered(discovery, answer, (), lowpass)
+    if outcome is discovery or (explained and contradicts_injection(outcome, discovery)):
         return discovery
-    notes = dict.fromkeys((*found.notes, *_nearest_laws(answer.best)))
-    return replace(found, ambiguous_with=(), advice="", notes=tuple(notes))
+    notes = dict.fromkeys((*outcome.notes, *_nearest_laws(answer.best)))
+    return replace(outcome, ambiguous_with=(), advice="", notes=tuple(notes))
 
 
 def tells_its_curve(model: Judged) -> bool:
@@ -133,8 +133,8 @@ def _with_best_curve(search: Search, named: Judged, explained: bool) -> Judged:
         best = search.judge.plainest(trials)
         better = _is_far_better(best, named) or _replaces_sum(search, best, named)
         left = beyond_noise(best.runs[1], search.judge.records)
-        near = best.error < named.error + np.log(_RULES.finer)
-        if (_crowded(named.placed) and near) or (better and left):
+        is_close = best.error < named.error + np.log(_RULES.finer)
+        if (_crowded(named.placed) and is_close) or (better and left):
             best = _finest(search, best)
             better = _is_far_better(best, named) or _replaces_sum(search, best, named)
         if better and search.accepts(best, origin, ()):
@@ -314,13 +314,13 @@ def _nearest_laws(model: Judged) -> list[str]:
             continue
         likenesses = _likenesses(model, placed)
         largest = max((item.share for item in likenesses), default=0.0)
-        near = [
+        alternatives = [
             (len(item.law.names), -item.share, item.law.effect.name)
             for item in likenesses
             if item.share > max(_RULES.likeness, largest - _RULES.tie)
         ]
-        if near:
-            _, negative, name = min(near)
+        if alternatives:
+            _, negative, name = min(alternatives)
             signal, law = placed.effect.channels(plant)[placed.channel], name.replace("_", " ")
             notes.append(_NEAREST.format(signal, law, -100.0 * negative))
     return notes

@@ -29,11 +29,11 @@ def with_test_errors(
     models = discovery.plant_before, discovery.plant
     if not discovery.declared.status.fits or any(not_simulated(model) for model in models):
         return discovery
-    alike = made_alike(test, records, discovery.found.records)
+    unseen = made_alike(test, records, discovery.found.records)
     if window is None:
-        window = window_length(alike, 2 * longest_start(discovery.plant, alike))
+        window = window_length(unseen, 2 * longest_start(discovery.plant, unseen))
     longest = None if discovery.before is None else discovery.before.window
-    before, after = (whole_and_windows(model, alike, window, longest) for model in models)
+    before, after = (whole_and_windows(model, unseen, window, longest) for model in models)
     return replace(
         discovery,
         test_before=before[0],

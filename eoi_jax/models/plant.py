@@ -359,13 +359,13 @@ class Plant(eqx.Module):
         """
         if self.actuator is None:
             return u_start
-        held = self.driven(t, u, theta)
+        values = self.driven(t, u, theta)
         if not all(keeps_steps(self.actuator, len(self.inputs))):
-            before = jnp.concatenate([held[:1], held[:-1]])
+            before = jnp.concatenate([values[:1], values[:-1]])
             kept = np.asarray(keeps_steps(self.actuator, len(self.inputs)))
-            held = jnp.where(kept, held, 0.5 * (before + held))
+            values = jnp.where(kept, values, 0.5 * (before + values))
         moving = self.driven(t - 0.5 * (t[1] - t[0]), u_start, theta)
-        return jnp.where(jnp.all(u == u_start, axis=0), held, moving)
+        return jnp.where(jnp.all(u == u_start, axis=0), values, moving)
 
     def internal_start(self, theta: Float[Array, " np"]) -> Float[Array, " nz"]:
         """z at the start of a record."""

@@ -113,10 +113,10 @@ def same_unit(first: str, second: str) -> bool:
         second: as text.
     """
     left_text, right_text = _spelled(first), _spelled(second)
-    left, right = _read(left_text, any_word=True), _read(right_text, any_word=True)
-    if left is None or right is None:
+    units = [_read(text, any_word=True) for text in (left_text, right_text)]
+    if units[0] is None or units[1] is None:
         return left_text == right_text
-    return left.powers == right.powers and math.isclose(left.factor, right.factor)
+    return units[0].powers == units[1].powers and math.isclose(units[0].factor, units[1].factor)
 
 
 def _spelled(unit: str) -> str:

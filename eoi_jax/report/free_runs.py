@@ -161,12 +161,14 @@ def worst_series(content: FreeRuns) -> TimeSeries | None:
     window = worst_window(content)
     if window is None:
         return None
-    whole = free_run_series(content)
+    complete = free_run_series(content)
     panels = tuple(
         replace(
             panel,
             signals=tuple(replace(line, values=line.values[window]) for line in panel.signals),
         )
-        for panel in whole.panels
+        for panel in complete.panels
     )
-    return replace(whole, time=whole.time[window], panels=panels, record=f"{whole.record} detail")
+    return replace(
+        complete, time=complete.time[window], panels=panels, record=f"{whole.record} detail"
+    )

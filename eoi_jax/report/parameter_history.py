@@ -86,8 +86,8 @@ def _range(
     finite = np.isfinite(value) & np.isfinite(error)
     if not np.any(finite):
         return None
-    shown = finite & (error <= LAYOUT.shown * np.min(error[finite]))
-    low = float(np.min((value - LAYOUT.deviate * error)[shown]))
-    high = float(np.max((value + LAYOUT.deviate * error)[shown]))
+    selected = finite & (error <= LAYOUT.shown * np.min(error[finite]))
+    low = float(np.min((value - LAYOUT.deviate * error)[selected]))
+    high = float(np.max((value + LAYOUT.deviate * error)[selected]))
     margin = 0.05 * (high - low) or 0.05 * abs(high) or 1.0
     return low - margin, high + margin

@@ -254,7 +254,7 @@ def actuated(
 def parabolas(
     xp: Any,
     plant: Plant,
-    behind: Callable[[Any, Any], Any],
+    actuate: Callable[[Any, Any], Any],
     driven_by: Drive,
     past: Float[Any, " nu"] | None,
 ) -> Float[Any, "steps 3 nu"]:
@@ -263,7 +263,7 @@ def parabolas(
     Args:
         xp: NumPy or JAX's.
         plant: with an actuator.
-        behind: means of the inputs over the steps behind it, from the middles of the steps and the
+        actuate: means of the inputs over the steps behind it, from the middles of the steps and the
             means before it.
         driven_by: of a whole record.
         past: as in `actuated`.
@@ -277,10 +277,10 @@ def parabolas(
     mean = (first + 4.0 * middle + last) / 6.0
     middles = time + 0.5 * driven_by.step
     if past is None:
-        mean = behind(middles, mean)
+        mean = actuate(middles, mean)
     else:  # a step more, in which an actuator is settled at that level
         middles = xp.concatenate([middles[:1] - driven_by.step, middles])
-        mean = behind(middles, xp.concatenate([mean[:1] + past, mean]))[1:]
+        mean = actuate(middles, xp.concatenate([mean[:1] + past, mean]))[1:]
     ends = xp.concatenate([mean[:1], 0.5 * (mean[1:] + mean[:-1]), mean[-1:]])
     begins, stops = ends[:-1], ends[1:]
     parts = xp.stack([begins, 1.5 * mean - 0.25 * (begins + stops), stops], axis=1)
@@ -327,10 +327,10 @@ def actuated_on_host(
     """`actuated` by NumPy, where `has_sampled_actuator` says so; arguments as there."""
     values = dict(zip(plant.names, theta.tolist(), strict=True))
 
-    def behind(middles: np.ndarray, mean: np.ndarray) -> np.ndarray:
+    def actuate(middles: np.ndarray, mean: np.ndarray) -> np.ndarray:
         return plant.actuator.sampled(middles, mean, values)  # pyright: ignore
 
-    return parabolas(np, plant, behind, driven_by, past)
+    return parabolas(np, plant, actuate, driven_by, past)
 
 
 def _actuated_by_values(plant: Plant, driven_by: Drive) -> Float[np.ndarray, "steps 3 nu"]:

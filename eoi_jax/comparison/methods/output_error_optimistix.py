@@ -168,23 +168,25 @@ class _Coordinates(eqx.Module):
         has_lower, has_upper = np.isfinite(lower), np.isfinite(upper)
         lower, upper = np.where(has_lower, lower, 0.0), np.where(has_upper, upper, 0.0)
         closed, far = has_lower & has_upper, _SETTINGS.min_distance
-        half = np.where(closed, 0.5 * (upper - lower), 1.0)
+        radius = np.where(closed, 0.5 * (upper - lower), 1.0)
         most = 0.5 * np.pi - far
-        angle = np.clip(np.arcsin(np.where(closed, (theta - lower) / half - 1.0, 0.0)), -most, most)
+        angle = np.clip(
+            np.arcsin(np.where(closed, (theta - lower) / radius - 1.0, 0.0)), -most, most
+        )
         distance = np.where(has_lower, theta - lower, np.where(has_upper, upper - theta, 0.0))
         root = np.maximum(np.sqrt((1.0 + distance / size) ** 2 - 1.0), far)
         excess = np.where(has_lower, root, np.where(has_upper, -root, theta / size))
         origin = np.where(closed, angle, excess)
         slope = np.where(has_lower | has_upper, size * root / np.sqrt(1.0 + root**2), size)
-        slope = np.where(closed, half * np.cos(angle), slope)
+        slope = np.where(closed, radius * np.cos(angle), slope)
         step = np.minimum(size / slope, 1.0)
         return cls(lower, upper, has_lower, has_upper, size, origin, step)
 
     def on_bounds(self, theta: Float[np.ndarray, " free"]) -> "_Coordinates":
         """With the parameters held that are on a bound: whatever their unknowns, they stay."""
-        near = _SETTINGS.bound_distance * self.size
-        is_low = self.has_lower & (theta - self.lower <= near)
-        is_high = self.has_upper & (self.upper - theta <= near)
+        margin = _SETTINGS.bound_distance * self.size
+        is_low = self.has_lower & (theta - self.lower <= margin)
+        is_high = self.has_upper & (self.upper - theta <= margin)
         angle = np.where(is_low, -0.5 * np.pi, 0.5 * np.pi) * (self.has_lower & self.has_upper)
         is_held = is_low | is_high
         origin, step = np.where(is_held, angle, self.origin), np.where(is_held, 0.0, self.step)

@@ -98,10 +98,10 @@ class NormalEquations:
         Args:
             max_condition: of A, its parameters scaled to one.
         """
-        alone = np.diagonal(self.information)
-        if not (len(alone) and np.all(np.isfinite(self.cross)) and np.all(alone > 0)):
+        powers = np.diagonal(self.information)
+        if not (len(powers) and np.all(np.isfinite(self.cross)) and np.all(powers > 0)):
             return False
-        scale = np.sqrt(alone)
+        scale = np.sqrt(powers)
         return bool(np.linalg.cond(self.cross / np.outer(scale, scale)) < max_condition)
 
     @property
