@@ -169,6 +169,5 @@ def worst_series(content: FreeRuns) -> TimeSeries | None:
         )
         for panel in complete.panels
     )
-    return replace(
-        complete, time=complete.time[window], panels=panels, record=f"{whole.record} detail"
-    )
+    detail = f"{complete.record} detail"
+    return replace(complete, time=complete.time[window], panels=panels, record=detail)

@@ -168,17 +168,15 @@ class _Coordinates(eqx.Module):
         has_lower, has_upper = np.isfinite(lower), np.isfinite(upper)
         lower, upper = np.where(has_lower, lower, 0.0), np.where(has_upper, upper, 0.0)
         closed, far = has_lower & has_upper, _SETTINGS.min_distance
-        radius = np.where(closed, 0.5 * (upper - lower), 1.0)
+        span = np.where(closed, 0.5 * (upper - lower), 1.0)
         most = 0.5 * np.pi - far
-        angle = np.clip(
-            np.arcsin(np.where(closed, (theta - lower) / radius - 1.0, 0.0)), -most, most
-        )
+        angle = np.clip(np.arcsin(np.where(closed, (theta - lower) / span - 1.0, 0.0)), -most, most)
         distance = np.where(has_lower, theta - lower, np.where(has_upper, upper - theta, 0.0))
         root = np.maximum(np.sqrt((1.0 + distance / size) ** 2 - 1.0), far)
         excess = np.where(has_lower, root, np.where(has_upper, -root, theta / size))
         origin = np.where(closed, angle, excess)
         slope = np.where(has_lower | has_upper, size * root / np.sqrt(1.0 + root**2), size)
-        slope = np.where(closed, radius * np.cos(angle), slope)
+        slope = np.where(closed, span * np.cos(angle), slope)
         step = np.minimum(size / slope, 1.0)
         return cls(lower, upper, has_lower, has_upper, size, origin, step)
 
