@@ -121,12 +121,10 @@ def program(plant: Plant, *, lags_as_states: bool = True) -> Program:
             the input as it comes out of the lag.
 
     Raises:
-        ValueError: the model holds what is no arithmetic on its states (which operation), or an
-            actuator of the user's own.
+        ValueError: the model holds what is no arithmetic on its states (which operation), an
+            actuator of the user's own, or a channel with the name of the time.
     """
-    double = jnp.result_type(float) == jnp.float64
-    advice = "Call `eoi_jax.configure()` before JAX is used."
-    check(double, "precision", "must be double to export a model", "single", advice)
+    _check_exportable(plant)
     symbolic = SymbolicPlant(plant)
     delays, lags = _delays_and_lags(plant)
     added, inputs = _lagged(symbolic, lags) if lags_as_states else ([], symbolic.inputs)
@@ -178,6 +176,16 @@ def program(plant: Plant, *, lags_as_states: bool = True) -> Program:
         tuple(output_trees),
         tuple(output_definitions),
     )  # fmt: skip
+
+
+def _check_exportable(plant: Plant) -> None:
+    """Check the precision, and that no channel is called t."""
+    double = jnp.result_type(float) == jnp.float64
+    advice = "Call `eoi_jax.configure()` before JAX is used."
+    check(double, "precision", "must be double to export a model", "single", advice)
+    for field, names in (("inputs", plant.inputs), ("outputs", plant.outputs)):
+        rule = "must not be called t to be exported, which is the time in equations"
+        check("t" not in names, f"plant.{field}", rule, ", ".join(names), "Give it another name.")
 
 
 def _variable(plant: Plant, symbol: Symbol, name: str, note: str = "") -> Variable:

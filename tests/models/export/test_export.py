@@ -336,6 +336,14 @@ def test_the_matlab_functions_agree(octave, tmp_path):
         agree(np.loadtxt(tmp_path / f"{name}_y.txt", ndmin=2).reshape(values.shape), values)
 
 
+@pytest.mark.parametrize("field", ["inputs", "outputs"])
+def test_a_channel_with_the_name_of_the_time_is_refused(tmp_path, field):
+    plant = eoi.Plant(lambda t, x, u, p: jnp.sin(t) - p.a * x.y[0], {"a": 1.0}, **{field: ("t",)})
+    rule = rf"`plant.{field}` must not be called t to be exported, .* got t. Give it another name"
+    with pytest.raises(ValueError, match=rule):
+        eoi.export(plant, tmp_path / "model.py")
+
+
 def test_json_reads_back_to_a_plant_that_agrees(model, tmp_path):
     _, plant, (t, x, u, wanted) = model
     back = eoi.load(eoi.export(plant, tmp_path / "model.json"))
