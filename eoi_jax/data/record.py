@@ -262,8 +262,7 @@ class Record(Result):
         masks = self.valid[part], self.input_valid[part], self.output_valid[part]
         signals = self.inputs[part], self.outputs[part]
         new._set(*signals, masks, self.time[part], self.sample_period)
-        new._assign({"burn_in": max(self.burn_in - start * self.sample_period, 0.0)})
-        return new
+        return new._assign({"burn_in": max(self.burn_in - start * self.sample_period, 0.0)})
 
     def split(self, fraction: Real) -> tuple["Record", "Record"]:
         """The first `fraction` of the samples, and the remaining ones.
@@ -280,9 +279,7 @@ class Record(Result):
 
     def continuing(self) -> "Record":
         """The same samples as those of a record that begins in the middle of a run."""
-        new = self._changed(None)
-        new._assign({"_continues": True})
-        return new
+        return self._changed(None)._assign({"_continues": True})
 
     def with_outputs(self, outputs: Outputs, name: str, simulated: Mask | None = None) -> "Record":
         """The same instants and inputs with simulated outputs.
@@ -298,8 +295,7 @@ class Record(Result):
         masks = everywhere, self.input_valid, measured
         new._set(self.inputs, outputs, masks, self.time, self.sample_period)
         unmeasured = {"_noise": None, "_quantum": None, "_middle": self._middle, "_periods": None}
-        new._assign({"name": name, "notes": (), "smoothed": (), **unmeasured})
-        return new
+        return new._assign({"name": name, "notes": (), "smoothed": (), **unmeasured})
 
     def with_hold(self, hold: HoldArgument) -> "Record":
         """The same samples with a declared hold of the inputs: zero, linear or smooth.
@@ -337,8 +333,7 @@ class Record(Result):
         if not np.any(steps):
             return self
         new = self._changed(None)
-        new._assign({"_skew": np.asarray(delays, dtype=float), "_middle": None})
-        return new
+        return new._assign({"_skew": np.asarray(delays, dtype=float), "_middle": None})
 
     def unwrapped(self, periods: Mapping[str, Real]) -> "Record":
         """The record with counters and angles that no longer start again at the end of their range.
@@ -396,8 +391,7 @@ class Record(Result):
         new._set(inputs, self.outputs, masks, self.time, self.sample_period)
         hold = hold or (self.hold if isinstance(self.hold, str) else "zero")
         skew = skew if np.any(skew) else None
-        new._assign({"input_names": names, "_skew": skew, "hold": hold})
-        return new
+        return new._assign({"input_names": names, "_skew": skew, "hold": hold})
 
     def segments(self) -> list[tuple[int, int]]:
         """Runs (start, stop) of consecutive valid samples."""
@@ -429,8 +423,7 @@ class Record(Result):
         new = self._changed(None)
         masks = self.input_valid & valid.all(axis=1), self.input_valid, valid
         new._set(self.inputs, outputs, masks, self.time, self.sample_period)
-        new._assign({**self._of_the_samples, "_middle": self._middle})
-        return new
+        return new._assign({**self._of_the_samples, "_middle": self._middle})
 
     @property
     def _of_the_samples(self) -> dict[str, Any]:
@@ -543,8 +536,7 @@ class Record(Result):
         made = {"hold": "smooth", "_logged_hold": logged, "smoothed": cutoffs}
         new._assign({**self._of_the_samples, **made})
         noise = self.noise / self.noise_left * new.noise_left
-        new._assign({"_noise": noise, "_quantum": np.zeros_like(noise)})
-        return new
+        return new._assign({"_noise": noise, "_quantum": np.zeros_like(noise)})
 
     def midpoint_inputs(self) -> Float[np.ndarray, "steps nu"]:
         """The inputs in the middle of each of the N − 1 steps, by their hold."""
@@ -680,8 +672,7 @@ class Record(Result):
         """A shallow copy with an additional note."""
         new = copy.copy(self)
         new.__dict__.pop("_bridged", None)
-        new._assign({"notes": (*self.notes, note) if note else self.notes})
-        return new
+        return new._assign({"notes": (*self.notes, note) if note else self.notes})
 
     def _set(
         self,
@@ -709,7 +700,8 @@ class Record(Result):
         for name in ("_estimated_noise", "_estimated_quantum"):  # of the samples of the original
             self.__dict__.pop(name, None)
 
-    def _assign(self, values: dict[str, Any]) -> None:
-        """Set fields of a frozen record while it is constructed."""
+    def _assign(self, values: dict[str, Any]) -> "Record":
+        """The record, with fields set while it is constructed: it is frozen."""
         for key, value in values.items():
             object.__setattr__(self, key, value)
+        return self

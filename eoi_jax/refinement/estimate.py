@@ -242,7 +242,8 @@ def _status(fit: Fit, lost: Sequence[str], factors: Sequence[CommonFactor]) -> S
         return Status("converged", f"no step lowers the cost any further, after {fit.steps}")
     if bool(outcome.exhausted):
         return Status("passes_exhausted", _MORE_STEPS.format(predicted_reduction))
-    return Status("stalled", _STALLED.format(predicted_reduction))
+    cause = _KINKS if np.any(fit.problem.kernel.plant.jumps) else _FAR_FROM_LINEAR
+    return Status("stalled", _STALLED.format(predicted_reduction) + cause)
 
 
 def unanswered(
@@ -278,8 +279,13 @@ _UNTRACED = (
     "parameters, or excite the plant so that they differ"
 )
 _MORE_STEPS = "least squares promises to lower the cost by {:.2g} more: allow more `max_steps`"
-_STALLED = (
-    "no step lowers the cost, though least squares promises {:.2g} of it: the free run is not "
-    "smooth in its parameters there (moments of rest that come and go, limits just met or just "
-    "missed). Fit shorter runs with `window` if the promise is large"
+_STALLED = "no step lowers the cost, though least squares promises {:.2g} of it: "
+_KINKS = (
+    "the free run is not smooth in its parameters there (moments of rest that come and go, limits "
+    "just met or just missed). Fit shorter runs with `window` if the promise is large"
+)
+_FAR_FROM_LINEAR = (
+    "the free run is far from linear in its parameters there, and the minimum may not be the "
+    "lowest one. Start from the estimate of `identify`, or from many points (`starts = 200`), or "
+    "fit shorter runs with `window`"
 )

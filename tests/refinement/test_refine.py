@@ -232,6 +232,16 @@ def test_a_search_that_kinks_of_dry_friction_end_leaves_next_to_nothing():
     assert again.rmse**2 >= 0.999 * found.rmse**2
 
 
+@pytest.mark.parametrize(("plant", "rests"), [(RUBBING, True), (OSCILLATOR, False)])
+def test_only_a_plant_that_jumps_stalls_at_moments_of_rest(monkeypatch, plant, rests):
+    module = importlib.import_module("eoi_jax.refinement.estimate")
+    monkeypatch.setattr(module, "CONVERGED", -1.0)  # no promise is too small
+    status = refine(plant, run(plant, count=300), substeps=4).status
+    assert status.code == "stalled"
+    assert ("moments of rest" in status.message) is rests
+    assert ("`starts = 200`" in status.message) is not rests
+
+
 def test_a_fit_that_stalls_far_above_what_least_squares_promises_is_looked_for(monkeypatch):
     """All do as long as they are told so: the search begins where the fit has ended."""
     module, asked = importlib.import_module("eoi_jax.refinement.refine"), []
