@@ -12,7 +12,8 @@ r"""Find the effects that a model lacks from its residual, and add them.
 7. Where that gives no answer, the declared model is refined and effects are searched in its free
    runs (`free_run_search`); an answer that leaves more than noise there is questioned, refined and
    extended (`in_free_runs`), and curves are tried (`curves`).
-8. On request, refinement by output error, with effects that only the free runs show (`refined`).
+8. On request, refinement by output error, with effects that only the free runs show; without it
+   where nothing is missing and the passes are biased (`refined`).
 """
 
 from collections.abc import Sequence
@@ -42,7 +43,7 @@ from eoi_jax.discovery.in_injection import (
     search_injection,
     without_search,
 )
-from eoi_jax.discovery.refined import refined_answer
+from eoi_jax.discovery.refined import refined_answer, without_bias
 from eoi_jax.discovery.remainder import partial_where_more_is_left, with_differences, with_doubts
 from eoi_jax.discovery.requested import names_with_place, notes_without_place, requested
 from eoi_jax.discovery.result import Discovery
@@ -108,7 +109,8 @@ def discover(
             free run shows is added (`remaining`): what the injection hardly sees may be most of
             that error. Additions, and a fit to short runs in place of whole records, are kept
             where all free runs on held-out data get better by more than a hundredth, a mere
-            refinement where none gets worse by one. Takes longer.
+            refinement where none gets worse by one. Takes longer. Without it a model that lacks
+            nothing is refined where that shows its passes to be biased; a note says so.
         test: records that nothing chooses on, for errors that may be published: `validation`
             decides which effects stay, so that its errors are a little too good.
         callback: called at each stage with what is done now, how many stages are over, and how
@@ -275,6 +277,8 @@ class _Search:
         if answered_so_far and (self.refine or not resolved):
             self.progress("refining, and what free runs lack", 2 + _RULES.rounds, STAGES)
             discovery = refined_answer(task, discovery, effects if self.named else None)
+        else:
+            discovery = without_bias(task, discovery)
         if not resolved:
             discovery = judged_by_free_runs(task, discovery)
         discovery = with_doubts(discovery, records, self.refine)

@@ -84,9 +84,7 @@ class FreeRunAnswer:
         cls, search: Search, best: Judged, start: Plant, rounds: Sequence[Contest] = ()
     ) -> "FreeRunAnswer":
         """What a search came to, from this declared model."""
-        base = search.base
-        if search.searched is not search.records:
-            base = search.settled(base) or base
+        base = search.settled_base
         best = best if search.further(best) else base
         better = search.predicts_better(base, start)
         share = count_of(search.searched) / count_of(search.records)

@@ -58,6 +58,11 @@ class Search:
         """The better one."""
         return self.bases[0]
 
+    @property
+    def settled_base(self) -> Judged:
+        """The better one, refined on all records where a part of them was searched."""
+        return self.base if self.searched is self.records else self.settled(self.base) or self.base
+
     @classmethod
     def begun(
         cls,
@@ -97,8 +102,19 @@ class Search:
         """
         if self.judge.is_same(mean_error(self.judge.runs(start)), base.error):
             return False
-        judge = Judge.of((*self.searched, *self.judge.records), start) or self.judge
+        judge = self._judge_of_all(start)
         return not judge.prefers(judge.runs(start), judge.runs(base.refinement.plant))
+
+    def predicts_all_better(self, base: Judged, start: Plant) -> bool:
+        """The same, where it predicts all records together otherwise."""
+        judge = self._judge_of_all(start)
+        before, after = judge.runs(start), judge.runs(base.refinement.plant)
+        is_same = judge.is_same(mean_error(before), mean_error(after))
+        return not is_same and not judge.prefers(before, after)
+
+    def _judge_of_all(self, start: Plant) -> Judge:
+        """On the records of the fit and on those that judge."""
+        return Judge.of((*self.searched, *self.judge.records), start) or self.judge
 
     def accepts(self, trial: Judged, best: Judged, rounds: Sequence[Contest]) -> bool:
         """Whether a model is better than the best one by more than chance, or takes its place.

@@ -13,6 +13,9 @@ The model with the lowest of these errors is kept. The first refinement, which a
 must not be worse than the discovered model: at the noise level both are equal, and the refinement
 is the better estimate. An addition, and a fit to short runs in place of whole ones, must reduce
 these errors by more than a hundredth.
+
+All that is on request. Unasked, a model that lacks nothing is refined where passes are biased by
+noise, or by samples far apart, and free runs show it.
 """
 
 from collections.abc import Sequence
@@ -24,17 +27,18 @@ from eoi_jax._status import Status
 from eoi_jax.data.record import Record
 from eoi_jax.discovery.acceptance import labels_of
 from eoi_jax.discovery.additions import added_effect, as_fit, uncertain_effects
-from eoi_jax.discovery.judge import probability_better
+from eoi_jax.discovery.free_run_trials import Search, portion
+from eoi_jax.discovery.judge import Judge, probability_better
 from eoi_jax.discovery.probability import Standing
 from eoi_jax.discovery.refit import on_bounds, window_of
-from eoi_jax.discovery.remarks import is_on_fit
+from eoi_jax.discovery.remarks import FitNote, is_on_fit
 from eoi_jax.discovery.result import Discovery
 from eoi_jax.discovery.rules import RULES
 from eoi_jax.discovery.task import Task
 from eoi_jax.models.augmented import Placed, augmented
 from eoi_jax.models.effects.effect import AbstractEffect
 from eoi_jax.models.plant import Plant
-from eoi_jax.refinement.refine import refine
+from eoi_jax.refinement.refine import refine, refine_once
 from eoi_jax.refinement.remaining import remaining
 from eoi_jax.refinement.result import Refinement
 from eoi_jax.simulation.validate import FreeRuns, whole_and_windows
@@ -99,6 +103,50 @@ def refined_answer(
         after=better.runs[0], windows_after=better.runs[1], found=fit, plant=result.plant,
         notes=tuple(notes),
     )  # fmt: skip
+
+
+def without_bias(task: Task, discovery: Discovery) -> Discovery:
+    """An answer that nothing is missing, refined where its parameters are not those of free runs.
+
+    Noise in the regressors and samples far apart bias the passes, which their residual does not
+    show. Both estimates are of the same parameters: the refined one, which fits best, is the answer
+    where all records together are predicted otherwise, and not worse by more than chance.
+    """
+    records, plant = task.held_out or task.records, discovery.plant
+    if discovery.status.code != "nothing_missing" or discovery.after is None:
+        return discovery
+    judge = Judge.of(records, plant)
+    if judge is None or _is_settled(plant, portion(task.records, plant), judge):
+        return discovery
+    search = Search.begun([plant], task.records, judge)
+    if search is None:
+        return discovery
+    base = search.settled_base
+    result = base.refinement
+    if not (result.status.ok and search.predicts_all_better(base, plant)):
+        return discovery
+    lengths = window_of(task, records), discovery.after.window
+    runs = whole_and_windows(result.plant, records, *lengths)
+    notes = [note for note in discovery.notes if not is_on_fit(note)]
+    notes += [*on_bounds(task.plant, result.plant), FitNote(_UNBIASED)]
+    return replace(
+        discovery, after=runs[0], windows_after=runs[1], found=as_fit(task.prepared, result),
+        plant=result.plant, notes=tuple(notes),
+    )  # fmt: skip
+
+
+def _is_settled(plant: Plant, records: tuple[Record, ...], judge: Judge) -> bool:
+    """Whether a refinement ends after a few steps, no parameter beyond its standard errors.
+
+    Over long runs and over short ones: in either it may end in a wrong minimum next to the start.
+    """
+    for window in (judge.longest, judge.window):
+        fit = refine_once(plant, records, window, max_steps=_RULES.first_steps)
+        moves = np.subtract(list(fit.parameters.values()), list(plant.parameters.values()))
+        limits = RULES.judge.min_deviations * np.array(list(fit.standard_errors.values()))
+        if fit.status.code != "converged" or np.any(np.abs(moves) > limits):
+            return False
+    return True
 
 
 def polished(
@@ -191,6 +239,10 @@ def _changes_less_than(initial: FreeRuns, after: FreeRuns, limit: float) -> bool
     )
 
 
+_UNBIASED = (
+    "refined by the error of its free runs: noise in the outputs, or samples far apart, may bias "
+    "the passes, whose parameters and errors are those before"
+)
 _ONLY_FREE_RUN = (
     "the injection shows nothing beyond the noise, but free runs do: it was found in these"
 )

@@ -236,15 +236,18 @@ class ProbabilityRules:
 
 @dataclass(frozen=True)
 class RefinementRules:
-    """The refinement on request (`refined.py`).
+    """The refinement on request, and of passes that are biased (`refined.py`).
 
     Attributes:
         additions: of effects that only free runs show, at most.
         negligible: relative change of an error that counts as none.
+        first_steps: of the solver, in which a fit from passes without bias has converged. More of
+            them take time where passes are right, fewer let what follows take it.
     """
 
     additions: int = 3
     negligible: float = 0.01
+    first_steps: int = 5
 
 
 @dataclass(frozen=True)

@@ -75,6 +75,7 @@ def silenced(monkeypatch):
     monkeypatch.setattr(in_injection, "judged", lambda *_: Status("nothing_missing", "silence"))
     monkeypatch.setattr(module, "estimate", _as_declared(module.estimate))
     monkeypatch.setattr(module, "refined_answer", lambda _, found, __: found)
+    monkeypatch.setattr(module, "without_bias", lambda _, found: found)
 
 
 @pytest.mark.parametrize("refine", [False, True])

@@ -202,3 +202,66 @@ def test_an_unexplained_residual_gets_no_effect_though_the_model_is_refined():
     assert found.after is not None
     assert found.before is not None
     assert found.after.rmse[0] <= found.before.rmse[0]
+
+
+def van_der_pol(t, x, u, p):
+    position, rate = x.y
+    return p.mu * (1.0 - position**2) * rate - p.stiffness * position
+
+
+def orbit(start, seed, noise, plant, step=0.05):
+    time = step * np.arange(600)
+    made = eoi.simulate(plant, time, np.zeros((600, 0)), start, substeps=4)
+    error = noise * np.random.default_rng(seed).standard_normal(made.outputs.shape)
+    return eoi.Record(time, np.zeros((600, 0)), made.outputs + error, f"run {seed}")
+
+
+def test_an_answer_that_nothing_is_missing_has_the_parameters_of_free_runs():
+    declared = eoi.Plant(van_der_pol, {"mu": 1.0, "stiffness": 3.0}, 2, (), ("y",))
+    values = {"mu": 1.5, "stiffness": 4.0}
+    truth, starts = declared.with_parameters(values), ([1.0, 0.5], [-0.5, 1.5], [1.5, -1.0])
+    *fit, held = (orbit(start, seed, NOISE, truth) for seed, start in enumerate(starts))
+    found = eoi.discover(declared, fit, validation=held)
+    assert found.status.code == "nothing_missing"
+    assert any("may bias the passes" in note for note in found.notes)
+    assert found.plant.parameters == found.found.parameters
+    assert error(found.after) < 1.1 * NOISE < error(found.before)
+    for name, value in values.items():
+        passes, answer = (
+            abs(one.parameters[name] - value) / one.standard_errors[name]
+            for one in (found.declared, found.found)
+        )
+        assert answer < 4.0 < passes
+
+
+def test_passes_without_bias_stay_the_answer():
+    fit, held = (record({}, seed)[0] for seed in (1, 2))
+    found = eoi.discover(PLANT, fit, validation=held)
+    assert found.status.code == "nothing_missing"
+    assert found.found is found.declared
+    assert not any("may bias the passes" in note for note in found.notes)
+
+
+@pytest.mark.filterwarnings("ignore::eoi_jax.RecordWarning")  # stamps are far and unevenly apart
+def test_what_passes_over_few_samples_hardly_tell_free_runs_tell():
+    true = {"absorption": 1.2, "loss": 0.2, "volume": 30.0}
+    time = np.unique(np.r_[0.0, np.round(np.geomspace(0.25, 24.0, 24) * 4.0) / 4.0])
+    declared = eoi.plant_from_text(
+        {"amount": "-absorption*amount", "level": "absorption*amount/volume - loss*level"},
+        {"absorption": 2.0, "loss": 0.1, "volume": 20.0}, outputs=["level"],
+        initial={"amount": 100.0, "level": 0.0},
+    )  # fmt: skip
+    level = 100.0 / 30.0 * 1.2 / (1.2 - 0.2) * (np.exp(-0.2 * time) - np.exp(-1.2 * time))
+    *fit, held = (sampled(time, level, 2160 + seed) for seed in range(5))
+    found = eoi.discover(declared, fit, validation=held)
+    assert found.status.code == "nothing_missing"
+    for name, value in true.items():
+        assert abs(found.found.parameters[name] - value) < 4.0 * found.found.standard_errors[name]
+    volume = [one.standard_errors["volume"] for one in (found.declared, found.found)]
+    assert volume[1] < 0.2 * volume[0]
+    assert error(found.after) < 0.5 * error(found.before)
+
+
+def sampled(time, level, seed):
+    values = level * np.exp(0.05 * np.random.default_rng(seed).standard_normal(len(time)))
+    return eoi.Record(time, np.zeros((len(time), 0)), values, f"run {seed}", output_names=["level"])
