@@ -109,6 +109,7 @@ def test_a_store_does_not_stand_in_for_a_slope_of_each_run():
     assert "the records differ in a constant at v" in found.status.message
     assert not found.effects
     assert found.base is None
+    assert found.after is not None
     assert found.before is found.after
     np.testing.assert_allclose(found.after.rmse, judged_runs(found.plant, third).rmse)
     assert not any("errors before are those" in note for note in found.notes)

@@ -97,6 +97,7 @@ def test_an_unstable_plant_is_judged_in_windows_and_the_note_says_how_many():
 def test_a_record_that_is_shorter_than_the_start_of_a_window_is_judged_too():
     """Half of a window is its start: of a record shorter than that nothing would be left."""
     alone = eoi.validate(second_order(), balanced())
+    assert alone.window is not None
     count = round(0.4 * alone.window / PERIOD)
     run = eoi.validate(second_order(), [balanced(), balanced(count, seed=2)])
     assert run.window == pytest.approx(alone.window, rel=0.3)

@@ -338,7 +338,8 @@ def test_the_matlab_functions_agree(octave, tmp_path):
 
 @pytest.mark.parametrize("field", ["inputs", "outputs"])
 def test_a_channel_with_the_name_of_the_time_is_refused(tmp_path, field):
-    plant = eoi.Plant(lambda t, x, u, p: jnp.sin(t) - p.a * x.y[0], {"a": 1.0}, **{field: ("t",)})
+    names: dict[str, Any] = {field: ("t",)}
+    plant = eoi.Plant(lambda t, x, u, p: jnp.sin(t) - p.a * x.y[0], {"a": 1.0}, **names)
     rule = rf"`plant.{field}` must not be called t to be exported, .* got t. Give it another name"
     with pytest.raises(ValueError, match=rule):
         eoi.export(plant, tmp_path / "model.py")
