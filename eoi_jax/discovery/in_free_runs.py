@@ -392,9 +392,10 @@ def answered(
         fit = _fit_of(discovery, answer, best, lowpass)
         added = _added(discovery, answer, fit, best)
         lead = PartialExplanation(added, 1.0 - ratio**2, fit, *best.runs)
-    if answer.better_base:
-        # What the injection said of the model as it was is said of no other one.
-        left = bool(beyond_noise(base.runs[1], answer.judging)) or _tells_of_motion(lead, base)
+    left = bool(beyond_noise(base.runs[1], answer.judging)) or _tells_of_motion(lead, base)
+    if answer.better_base or not (left or beyond_noise(base.runs[0], answer.judging)):
+        # What the injection said of the model as it was is said of no other one; where samples are
+        # far apart it is an error of what lies between them.
         verdict = ("unexplained", _NOT_EXPLAINED) if left else ("nothing_missing", _NOTHING_MISSING)
         outcome = replace(discovery, status=Status(*verdict), lead=lead)
         discovery = _with_model(outcome, answer, base, lowpass)
