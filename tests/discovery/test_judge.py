@@ -172,6 +172,28 @@ def test_what_confirms_nothing_shows_nothing_to_be_missing_within_the_noise(
     assert (judged.lead is None) == (code == "nothing_missing")
 
 
+@pytest.mark.parametrize("long_runs", [True, False])
+def test_held_out_records_within_the_noise_outweigh_what_the_injection_leaves(
+    monkeypatch, answer, long_runs
+):
+    """Where samples are far apart its residual is an error of what lies between them."""
+    monkeypatch.setattr(in_free_runs, "long_run_ratio", lambda answer: 0.7)
+    monkeypatch.setattr(in_free_runs, "shown_by_all", lambda answer: False)
+    found = eoi.discover(
+        PENDULUM, released(1, 20.0, 0.0), released(2, 15.0, 0.0), ["quadratic_drag"]
+    )
+    found = replace(found, status=eoi.Status("unexplained", ""))
+    whole = answer.base.runs[0]
+
+    def excess(runs, records):
+        del records
+        return [] if long_runs or runs is not whole else ["more than noise"]
+
+    monkeypatch.setattr(in_free_runs, "beyond_noise", excess)
+    judged = in_free_runs.answered(found, replace(answer, better_base=False), (), None)
+    assert judged.status.code == ("nothing_missing" if long_runs else "unexplained")
+
+
 @pytest.mark.parametrize(
     ("tried", "named"),
     [([effects.CoulombFriction()], ()),
