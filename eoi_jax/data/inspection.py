@@ -3,7 +3,6 @@
 Which column is the time, an input or an output is a guess, and is reported as a guess.
 """
 
-import re
 import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
@@ -28,6 +27,7 @@ from eoi_jax.data.input_holds import STAIRCASE
 from eoi_jax.data.readers.limits import MAX_GIGABYTES
 from eoi_jax.data.readers.read_record import read_table
 from eoi_jax.data.readers.table import Table
+from eoi_jax.data.readers.words import is_grouped
 from eoi_jax.data.record import Record
 from eoi_jax.data.resampling import Real
 from eoi_jax.data.time_axis import (
@@ -332,9 +332,8 @@ def _channel(
     if key not in numbers:
         missing = sum(value is None for value in raw.tolist())
         example = next((value for value in raw.tolist() if isinstance(value, str)), "")
-        grouped = re.fullmatch(r"[+-]?\d{1,3}([,.' ]\d{3})+([.,]\d*)?", example.strip())
         reason = f"such as {example!r}" if example else ""
-        reason += ": write numbers without thousands separators" if grouped else ""
+        reason += ": write numbers without thousands separators" if is_grouped(example) else ""
         return Channel(key, kind, unit, "text", reason, missing=missing)
     values = numbers[key]
     finite = np.isfinite(values)

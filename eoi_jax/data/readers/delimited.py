@@ -1,8 +1,9 @@
 """Text tables: detection of separator, decimal mark, header, units and first row of data.
 
 The separator is the one with which most cells are numbers. The data start at the first row that
-has the form of the rows further down; the row above it holds the names. A row of units and lines
-before the header are recognised in the same way.
+has the form of the rows further down, with the rows straight above it that hold a word among
+their values; the row above them holds the names. A row of units and lines before the header are
+recognised in the same way.
 """
 
 import csv
@@ -280,6 +281,8 @@ def _layout(lines: Sequence[str]) -> _Layout:
     if start is None and len(rows) < 2:
         raise ValueError("it holds no data: one line of text only")
     start = 1 if start is None else start
+    while start > 0 and _has_data(rows[start - 1][1], rows[start][1], width, value_columns):
+        start -= 1
     notes = []
     decimal = "."
     data = [cells for _, cells in rows[start:]]
@@ -371,12 +374,37 @@ def _is_data_row(cells: list[str], width: int, value_columns: list[bool]) -> boo
     )
 
 
+def _has_data(cells: list[str], below: list[str], width: int, value_columns: list[bool]) -> bool:
+    """Whether a row above a row of data is one too, with words in some of its cells.
+
+    No header and no units have a date or a time of day in the first column of values where the
+    row below has one, or a number that is smaller than that below, and numbers in at least half
+    of these columns.
+    """
+    columns = [j for j in range(width) if value_columns[j]]
+    if len(cells) != width or len(below) != width or not columns:
+        return False
+    first, next_first = cells[columns[0]], below[columns[0]]
+    if _is_date(first) and _is_date(next_first):
+        return True
+    values = sum(_is_value(cells[j]) and cells[j].lower() not in _EMPTY for j in columns)
+    return 2 * values >= len(columns) and _as_number(first) < _as_number(next_first)
+
+
+def _as_number(cell: str) -> float:
+    """The number in a cell, with either decimal mark; NaN where there is none."""
+    is_number = _POINT.match(cell) or _COMMA.match(cell)
+    return float(cell.replace(",", ".").upper().replace("D", "E")) if is_number else float("nan")
+
+
+def _is_date(cell: str) -> bool:
+    return bool(_DATE.match(cell) or _TIME_OF_DAY.match(cell))
+
+
 def _is_value(cell: str) -> bool:
     text = cell.strip()
     return (
-        text.lower() in _EMPTY
-        or bool(_POINT.match(text) or _COMMA.match(text))
-        or bool(_DATE.match(text) or _TIME_OF_DAY.match(text))
+        text.lower() in _EMPTY or bool(_POINT.match(text) or _COMMA.match(text)) or _is_date(text)
     )
 
 

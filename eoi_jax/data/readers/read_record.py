@@ -22,6 +22,7 @@ from eoi_jax.data.readers.hdf5 import read_hdf5
 from eoi_jax.data.readers.limits import MAX_GIGABYTES, Allowance
 from eoi_jax.data.readers.matlab import read_mat
 from eoi_jax.data.readers.table import Columns, Table, add_columns
+from eoi_jax.data.readers.words import is_grouped
 from eoi_jax.data.record import Record
 from eoi_jax.data.resampling import Real
 from eoi_jax.data.time_axis import date_hints, daylight_saving, declared_unit, epoch_unit
@@ -244,9 +245,6 @@ def _column(path: Path, table: Table, field: str, key: str) -> np.ndarray:
     raise AssertionError
 
 
-_THOUSANDS = re.compile(r"\s*[+-]?\d{1,3}(,\d{3})+(\.\d*)?\s*$")
-
-
 def _numeric(path: Path, key: str, values: np.ndarray) -> np.ndarray:
     if values.dtype.kind in "Mm":  # seconds from the first stamp
         return (values - values[0]) / np.timedelta64(1, "s")
@@ -265,7 +263,7 @@ def _numeric(path: Path, key: str, values: np.ndarray) -> np.ndarray:
                 "Where it stands for no value, or for a line that is no sample, empty the cell "
             )
             advice += "or leave the line out."
-            if _THOUSANDS.match(str(value)):
+            if is_grouped(str(value)):
                 advice = "Write numbers without thousands separators."
             rule = f"must be a numeric column of {path}"
             check(False, key, rule, f"{value!r} in {where}", advice)

@@ -135,6 +135,27 @@ def test_columns_of_words_stay_and_others_are_read(tmp_path):
     assert len(read_table(path).columns["0"]) == N
 
 
+@pytest.mark.parametrize("words", ["Start", "1.000,0", "12:00 h"])
+@pytest.mark.parametrize("first", ["01.05.2024 00:{0:02d}", "{0}", "0,{0:02d}"])
+@pytest.mark.parametrize("count", [1, 12])
+def test_words_in_the_first_rows_do_not_move_the_header(tmp_path, words, first, count):
+    lines = [f"{first.format(k)};{k % 3};{words if k < count else f'{k},5'}" for k in range(30)]
+    path = tmp_path / "run.csv"
+    path.write_text("Logger 3000;;\nt;u;y\n;V;m\n" + "\n".join(lines))
+    table = read_table(path)
+    assert (*table.columns, len(table.columns["u"])) == ("t", "u", "y", 30)
+    assert table.units == {"u": "V", "y": "m"}
+    with pytest.raises(ValueError, match=rf"`y` must be a numeric .*, got '{words}' in line 4\."):
+        read_record(path, "t", "u", "y")
+
+
+@pytest.mark.parametrize("head", ["t,0,1", "0,1,y", "n,u,y\n1,1,m", "start,1.5,2.5"])
+def test_numbers_may_be_names_and_units(tmp_path, head):
+    path = tmp_path / "run.csv"
+    path.write_text(head + "\n" + rows())
+    check_columns(read_table(path), tuple(head.splitlines()[0].split(",")))
+
+
 def test_one_odd_cell_is_named_with_its_line_whatever_the_decimal_mark(tmp_path):
     path = tmp_path / "run.csv"
     path.write_text("t;u;y\n" + rows(";", comma=True).replace("0,05;", "0,05;error", 1))

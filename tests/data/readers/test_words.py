@@ -58,6 +58,8 @@ def test_cells_with_different_units_are_refused(tmp_path):
     ("cell", "advice"),
     [
         ('"1,072.51"', "Write numbers without thousands separators"),
+        ('"1.072,51"', "Write numbers without thousands separators"),
+        ("1'072.51", "Write numbers without thousands separators"),
         ("Average", "a line that is no sample, empty the cell or leave the line out"),
     ],
 )
