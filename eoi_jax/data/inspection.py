@@ -24,6 +24,7 @@ from eoi_jax.data.column_names import (
     unit_of_name,
 )
 from eoi_jax.data.input_holds import STAIRCASE
+from eoi_jax.data.readers.delimited import first_word
 from eoi_jax.data.readers.limits import MAX_GIGABYTES
 from eoi_jax.data.readers.read_record import read_table
 from eoi_jax.data.readers.table import Table
@@ -331,7 +332,7 @@ def _channel(
     kind = _KINDS.get(raw.dtype.kind, "text")
     if key not in numbers:
         missing = sum(value is None for value in raw.tolist())
-        example = next((value for value in raw.tolist() if isinstance(value, str)), "")
+        example = first_word(raw.tolist())
         reason = f"such as {example!r}" if example else ""
         reason += ": write numbers without thousands separators" if is_grouped(example) else ""
         return Channel(key, kind, unit, "text", reason, missing=missing)

@@ -26,7 +26,13 @@ from eoi_jax.data.readers.table import Columns, Table
 from eoi_jax.data.readers.words import without_unit, without_words
 
 _SEPARATORS = (";", "\t", ",", "|", "")  # "" for spaces
-_EMPTY = {"", "nan", "na", "n/a", "#n/a", "null", "none", "-"}
+# Cells without a value, as spreadsheets (in English and German), pandas and people write them.
+_NO_VALUE = (
+    "", "nan", "NaN", "NA", "N/A", "n/a", "#N/A", "null", "NULL", "None", "-", "n.a.", "N.A.",
+    "k.A.", "k. A.", "#DIV/0!", "#VALUE!", "#REF!", "#NUM!", "#NAME?", "#NULL!", "#WERT!", "#NV",
+    "#BEZUG!", "#ZAHL!",
+)  # fmt: skip
+_EMPTY = {word.lower() for word in _NO_VALUE}
 _POINT = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eEdD][+-]?\d+)?$|[+-]?inf(inity)?$", re.IGNORECASE)
 _COMMA = re.compile(r"[+-]?(\d+,\d+|,\d+)([eE][+-]?\d+)?$")
 _CLOCK = r"\d{1,2}:\d{2}(:\d{2}([.,]\d+)?)?\s*([AaPp][Mm])?"
@@ -168,7 +174,7 @@ def _read(source: Any, lines: Sequence[str], encoding: str) -> Table:
             decimal=layout.decimal,
             encoding=encoding,
             encoding_errors="replace",
-            na_values=["-"],
+            na_values=list(_NO_VALUE),
         )
     names = list(layout.names)
     while len(names) < frame.shape[1] > 1 and bool(frame.iloc[:, -1].isna().all()):
@@ -189,6 +195,18 @@ def _read(source: Any, lines: Sequence[str], encoding: str) -> Table:
             columns[key], unit = without_unit(columns[key])
             units |= {key: unit} if unit else {}
     return Table(columns, {**_named_units(keys), **units}, tuple(notes))
+
+
+def first_word(cells: Iterable[Any]) -> str:
+    """The first text that is no number among cells; else the first text, or an empty one.
+
+    Args:
+        cells: of a column of text.
+    """
+    texts = [cell for cell in cells if isinstance(cell, str)]
+    numbers = (bool(_POINT.match(text.strip()) or _COMMA.match(text.strip())) for text in texts)
+    words = (text for text, is_number in zip(texts, numbers, strict=True) if not is_number)
+    return next(words, texts[0] if texts else "")
 
 
 def _column(key: str, values: Any, decimal: str, notes: list[str]) -> np.ndarray:
