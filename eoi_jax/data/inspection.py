@@ -39,6 +39,8 @@ from eoi_jax.data.time_axis import (
     numbers_runs,
     oldest_first,
     parts_between_restarts,
+    seconds_from_first,
+    stamped_rows,
 )
 from eoi_jax.data.wrapping import Wrapping, course, wrapping
 
@@ -199,7 +201,7 @@ def inspect(
             is named in two roles.
     """
     path = Path(path)
-    table = oldest_first(read_table(path, max_gigabytes))
+    table, unstamped = stamped_rows(oldest_first(read_table(path, max_gigabytes)))
     samples = _samples(path, table)
     numbers = _numbers(table, samples)
     named = {"time": None if time is None else [time], "input": inputs, "output": outputs}
@@ -221,7 +223,7 @@ def inspect(
     ]
     local = clock.column and table.columns[clock.column].dtype.kind == "M"
     advice = daylight_saving(numbers[clock.column]) if clock.column and local else []
-    advice = (*advice, *_advice(channels, clock, samples))
+    advice = (*unstamped, *advice, *_advice(channels, clock, samples))
     return Inspection(
         path, samples, clock, tuple(channels), (*left_out, *table.objects.values()),
         (*table.notes, *_unit_notes(channels, table)), advice, numbers,
@@ -287,7 +289,7 @@ def _numbers(table: Table, samples: int) -> dict[str, Float[np.ndarray, " time"]
         if len(values) != samples:
             continue
         if values.dtype.kind in "Mm":
-            numbers[key] = (values - values[0]) / np.timedelta64(1, "s")
+            numbers[key] = seconds_from_first(values)
         elif values.dtype.kind in "biuf":
             numbers[key] = values.astype(np.float64, copy=False)
     return numbers
@@ -319,6 +321,7 @@ _KINDS = {
     "f": "numbers", "i": "whole numbers", "u": "whole numbers", "b": "truth values",
     "M": "dates", "m": "times of day", "c": "complex numbers",
 }  # fmt: skip
+_STAMPS = (_KINDS["M"], _KINDS["m"])
 
 
 def _channel(
@@ -346,7 +349,7 @@ def _channel(
     channel = Channel(key, kind, unit, "other", "", low, high, missing, changes)
     if low == high:
         return replace(channel, role="constant", why="it never changes")
-    if key == clock.column or kind in ("dates", "times of day"):
+    if key == clock.column or kind in _STAMPS:
         return channel
     wraps = wrapping(values, finite) if kind != "truth values" else None
     channel = replace(channel, wraps=wraps)
@@ -425,7 +428,9 @@ def _assign_roles(
     for channel in clocked:
         if channel.name in declared:
             roles[channel.name] = (declared[channel.name], "the file says so")
-        elif numbers_runs(numbers.get(channel.name), numbers.get(clock.column or "")):
+        elif channel.kind in _STAMPS or numbers_runs(
+            numbers.get(channel.name), numbers.get(clock.column or "")
+        ):
             continue
         elif (
             channel.role == "other" and channel.name in numbers and channel.name not in clock.others

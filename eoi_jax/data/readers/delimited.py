@@ -176,6 +176,12 @@ def _read(source: Any, lines: Sequence[str], encoding: str) -> Table:
             encoding_errors="replace",
             na_values=list(_NO_VALUE),
         )
+    notes = list(layout.notes)
+    filled = np.flatnonzero(frame.notna().any(axis=1).to_numpy())
+    empty = len(frame) - int(filled[-1]) - 1 if len(filled) else 0
+    if empty:
+        frame = frame.iloc[: len(frame) - empty].infer_objects()
+        notes.append(f"Left out at the end: {counted(empty, 'empty row')}.")
     names = list(layout.names)
     while len(names) < frame.shape[1] > 1 and bool(frame.iloc[:, -1].isna().all()):
         frame = frame.iloc[:, :-1]  # rows that end in a separator
@@ -188,7 +194,6 @@ def _read(source: Any, lines: Sequence[str], encoding: str) -> Table:
         raise ValueError(f"its header repeats a name: {names_text}; give each column its own name")
     units = {key: unit for key, unit in zip(keys, layout.units, strict=False) if unit and fits}
     columns: Columns = {}
-    notes = list(layout.notes)
     for i, key in enumerate(keys):
         columns[key] = _column(key, frame[i], layout.decimal, notes)
         if columns[key].dtype.kind == "O":
@@ -231,9 +236,25 @@ def _with_decimal_point(cell: Any) -> Any:
 
 def _dates(key: str, values: Any, first: str, notes: list[str]) -> np.ndarray:
     """Instants as datetime64; day before month where points separate them or nothing else fits."""
+    texts = values.astype("string").str.replace(r"(\d),(\d)", r"\1.\2", regex=True).str.strip()
+    candidates = _date_orders(texts, first)
+    if not candidates:
+        texts = _without_words(key, texts, _DATE, notes)
+        candidates = _date_orders(texts, first)
+    if candidates:  # the order with fewest reversals and the shortest span
+        _, _, day_first, stamps = min(candidates, key=lambda candidate: candidate[:3])
+        year_first = bool(re.match(r"\d{4}", first))
+        order = "year, month, day" if year_first else "day, month" if day_first else "month, day"
+        notes.append(f"`{key}` holds dates, read in the order {order}.")
+        return stamps.dt.tz_localize(None).to_numpy().astype("datetime64[ns]")
+    notes.append(f"`{key}` begins with a date, but holds something else further down.")
+    return values.astype(object).to_numpy()
+
+
+def _date_orders(texts: Any, first: str) -> list[tuple[int, Any, bool, Any]]:
+    """Reversals of time, span and stamps with each order of day and month that fits all texts."""
     import pandas as pd
 
-    texts = values.astype("string").str.replace(r"(\d),(\d)", r"\1.\2", regex=True).str.strip()
     year_first = bool(re.match(r"\d{4}", first))
     candidates = []
     for day_first in [False] if year_first else [True] if "." in first[:6] else [False, True]:
@@ -247,36 +268,52 @@ def _dates(key: str, values: Any, first: str, notes: list[str]) -> np.ndarray:
             reversals = int((stamps.diff().dt.total_seconds() < 0).sum())
             candidates.append((reversals, stamps.max() - stamps.min(), day_first, stamps))
             break
-    if candidates:  # the order with fewest reversals and the shortest span
-        _, _, day_first, stamps = min(candidates, key=lambda candidate: candidate[:3])
-        order = "year, month, day" if year_first else "day, month" if day_first else "month, day"
-        notes.append(f"`{key}` holds dates, read in the order {order}.")
-        return stamps.dt.tz_localize(None).to_numpy().astype("datetime64[ns]")
-    notes.append(f"`{key}` begins with a date, but holds something else further down.")
-    return values.astype(object).to_numpy()
+    return candidates
+
+
+def _without_words(key: str, texts: Any, form: re.Pattern[str], notes: list[str]) -> Any:
+    """The texts of a column of stamps, missing where they lack a form that most of them have."""
+    odd = (texts.notna() & ~texts.str.match(form.pattern)).to_numpy(bool)
+    rows = np.flatnonzero(odd)
+    if not 0 < 2 * len(rows) < len(texts):
+        return texts
+    what = f"{texts.iloc[rows[0]]!r} in row {rows[0]}, counted from 0"
+    more = f", and {len(rows) - 1} more such" if len(rows) > 1 else ""
+    notes.append(f"`{key}` has no stamp where it holds {what}{more}.")
+    return texts.mask(odd)
 
 
 def _times_of_day(key: str, values: Any, notes: list[str]) -> np.ndarray:
     """Times of day as timedelta64, going on over midnight."""
-    import pandas as pd
-
     texts = values.astype("string").str.replace(",", ".").str.strip()
-    short = texts.str.count(":") == 1
-    try:
-        if texts.str.contains("m", case=False).any():
-            clock = pd.to_datetime("2000-01-01 " + texts, format="mixed")
-            elapsed = (clock - pd.Timestamp("2000-01-01")).to_numpy()
-        else:
-            elapsed = pd.to_timedelta(texts.where(~short, texts + ":00")).to_numpy()
-    except (ValueError, TypeError):
+    elapsed = _elapsed(texts)
+    if elapsed is None:
+        elapsed = _elapsed(_without_words(key, texts, _TIME_OF_DAY, notes))
+    if elapsed is None:
         notes.append(f"`{key}` begins with a time of day, but holds something else further down.")
         return values.astype(object).to_numpy()
     elapsed = elapsed.astype("timedelta64[ns]")
     half_day, day = np.timedelta64(12, "h"), np.timedelta64(1, "D")
-    nights = np.concatenate([[0], np.cumsum(np.diff(elapsed) < -half_day)])
+    (known,) = np.nonzero(~np.isnat(elapsed))
+    nights = np.cumsum(np.diff(elapsed[known], prepend=elapsed[known[:1]]) < -half_day)
     midnights = f", over {counted(nights[-1], 'midnight')}" if nights[-1] else ""
     notes.append(f"`{key}` holds times of day, read as elapsed time{midnights}.")
-    return elapsed + nights * day
+    elapsed[known] += nights * day
+    return elapsed
+
+
+def _elapsed(texts: Any) -> np.ndarray | None:
+    """Times since midnight; None where a text is no time of day."""
+    import pandas as pd
+
+    short = texts.str.count(":") == 1
+    try:
+        if texts.str.contains("m", case=False).any():
+            clock = pd.to_datetime("2000-01-01 " + texts, format="mixed")
+            return (clock - pd.Timestamp("2000-01-01")).to_numpy()
+        return pd.to_timedelta(texts.where(~short, texts + ":00")).to_numpy()
+    except (ValueError, TypeError):
+        return None
 
 
 # -- layout -------------------------------------------------------------------------------

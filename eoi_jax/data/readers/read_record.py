@@ -25,7 +25,13 @@ from eoi_jax.data.readers.table import Columns, Table, add_columns
 from eoi_jax.data.readers.words import is_grouped
 from eoi_jax.data.record import Record
 from eoi_jax.data.resampling import Real
-from eoi_jax.data.time_axis import date_hints, daylight_saving, declared_unit, epoch_unit
+from eoi_jax.data.time_axis import (
+    date_hints,
+    daylight_saving,
+    declared_unit,
+    epoch_unit,
+    seconds_from_first,
+)
 from eoi_jax.data.unwrapping import checked_periods, unwrapped_channels
 
 
@@ -105,6 +111,8 @@ def read_record(
     selected |= {key: selected[key] * factor for key, factor in factors.items()}
     count = len(selected[y_columns[0]])
     rows = _rows(slice, count)
+    if clock is not None:
+        _check_stamps(path, clock, selected[clock], rows)
     new_names = _options_by_column("renames", renames, selected)
     unit_names = _options_by_column("units", units, selected)
     labels = {key: new_names.get(key, key) for key in selected}
@@ -247,7 +255,7 @@ def _column(path: Path, table: Table, field: str, key: str) -> np.ndarray:
 
 def _numeric(path: Path, key: str, values: np.ndarray) -> np.ndarray:
     if values.dtype.kind in "Mm":  # seconds from the first stamp
-        return (values - values[0]) / np.timedelta64(1, "s")
+        return seconds_from_first(values)
     if values.dtype.kind in "biuf":
         return values.astype(np.float64)
     advice = "Save its real and imaginary parts, or its size and phase, as columns of their own."
@@ -257,8 +265,6 @@ def _numeric(path: Path, key: str, values: np.ndarray) -> np.ndarray:
         try:
             float("nan" if value is None else value)
         except (TypeError, ValueError):
-            is_text = _READERS[_checked_suffix(path)] is read_text
-            where = f"line {line_of(path, row)}" if is_text else f"row {row}, counted from 0"
             advice = (
                 "Where it stands for no value, or for a line that is no sample, empty the cell "
             )
@@ -266,8 +272,24 @@ def _numeric(path: Path, key: str, values: np.ndarray) -> np.ndarray:
             if is_grouped(str(value)):
                 advice = "Write numbers without thousands separators."
             rule = f"must be a numeric column of {path}"
-            check(False, key, rule, f"{value!r} in {where}", advice)
+            check(False, key, rule, f"{value!r} in {_place(path, row)}", advice)
     return np.asarray([np.nan if value is None else value for value in values], dtype=np.float64)
+
+
+def _place(path: Path, row: int) -> str:
+    """Where a row of a table stands in a file."""
+    is_text = _READERS[_checked_suffix(path)] is read_text
+    return f"line {line_of(path, row)}" if is_text else f"row {row}, counted from 0"
+
+
+def _check_stamps(path: Path, clock: str, stamps: np.ndarray, rows: slice) -> None:
+    """All rows that are read must have a stamp."""
+    missing = rows.start + np.flatnonzero(~np.isfinite(stamps[rows]))
+    if len(missing):
+        more = f", and in {len(missing) - 1} more" if len(missing) > 1 else ""
+        got = f"none in {_place(path, int(missing[0]))}{more}"
+        advice = "Take lines that are no sample out, or leave them out by `slice`."
+        check(False, f"time[{clock}]", f"must have a stamp in all rows of {path}", got, advice)
 
 
 def _check_clock(time: str | int | None, sample_period: Real | None) -> None:

@@ -11,6 +11,7 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
+from eoi_jax.data.inspection import inspect
 from eoi_jax.data.readers.read_record import read_record, read_table
 
 N = 40
@@ -218,11 +219,74 @@ def test_a_clock_that_is_set_back_by_less_than_half_a_day_is_over_no_midnight(
     assert ("midnight" in " ".join(table.notes)) == bool(nights)
 
 
+def dated(count, form="%d.%m.%Y %H:%M"):
+    stamps = pd.date_range("2024-05-01 23:50", periods=count, freq="min")
+    values = np.sin(0.2 * np.arange(count))
+    return [f"{stamp.strftime(form)};{y:.4f}" for stamp, y in zip(stamps, values, strict=True)]
+
+
+@pytest.mark.parametrize("form", ["%d.%m.%Y %H:%M", "%H:%M:%S"])
+@pytest.mark.parametrize("end", [";", ";\n;\n\n;"])
+def test_empty_rows_at_the_end_are_no_samples(tmp_path, form, end):
+    path = tmp_path / "run.csv"
+    path.write_text("\n".join(["when;y", *dated(N, form), end]))
+    table = read_table(path)
+    assert len(table.columns["y"]) == len(table.columns["when"]) == N
+    assert "Left out at the end: " in " ".join(table.notes)
+    assert len(read_record(path, "when", (), "y").time) == N
+    assert inspect(path).clock.column == "when"
+
+
+@pytest.mark.parametrize("form", ["%d.%m.%Y %H:%M", "%H:%M:%S"])
+@pytest.mark.parametrize(("cell", "row"), [("Mittelwert", N), ("", 12), ("", 0), ("#NV", 5)])
+def test_a_row_without_a_stamp_is_named_with_its_line_and_its_clock_stays(
+    tmp_path, form, cell, row
+):
+    path = tmp_path / "run.csv"
+    lines = dated(N, form)
+    lines.insert(row, f"{cell};0.5")
+    path.write_text("\n".join(["when;y", *lines]))
+    with pytest.raises(
+        ValueError,
+        match=rf"`time\[when\]` must have a stamp in all rows .*, got none in line {row + 2}\.",
+    ):
+        read_record(path, "when", (), "y")
+    if row in (0, N):
+        rows = (1, None) if row == 0 else (0, N)
+        assert len(read_record(path, "when", (), "y", slice=rows).time) == N
+    found = inspect(path)
+    assert (found.clock.column, found.outputs, found.samples) == ("when", ("y",), N)
+    assert found.clock.sample_period == 60.0
+    assert found.clock.backwards[0] == 0
+    assert f"`when` has no stamp in row {row}, counted from 0" in found.advice[0]
+    said = f"no stamp where it holds '{cell}' in row {row}" in " ".join(found.notes)
+    assert said == (cell == "Mittelwert")
+
+
+def test_a_time_in_numbers_may_lack_a_stamp_too(tmp_path):
+    path = tmp_path / "run.csv"
+    lines = rows().splitlines()
+    path.write_text("\n".join(["t,u,y", *lines[:9], ",1,0.5", *lines[9:]]))
+    with pytest.raises(
+        ValueError, match=r"`time\[t\]` must have a stamp .*, got none in line 11\."
+    ):
+        read_record(path, "t", "u", "y")
+    assert inspect(path).clock.column == "t"
+
+
+def test_dates_are_no_inputs_and_no_outputs(tmp_path):
+    path = tmp_path / "run.csv"
+    lines = [f"{0.1 * k:.1f};{k % 28 + 1:02d}.05.2024;{np.sin(0.2 * k):.4f}" for k in range(60)]
+    path.write_text("\n".join(["t;calibrated;y", *lines]))
+    found = inspect(path)
+    assert (found.clock.column, found.inputs, found.outputs) == ("t", (), ("y",))
+
+
 def test_what_begins_like_dates_and_is_not_is_said(tmp_path):
     path = tmp_path / "run.csv"
     cells = ["2024-05-01", "10:00"]
     for cell in cells:
-        lines = [cell if k < 30 else f"unknown {k}" for k in range(N)]
+        lines = [cell if k < 15 else f"unknown {k}" for k in range(N)]
         path.write_text("when,y\n" + "\n".join(f"{a},{b}" for a, b in zip(lines, Y, strict=True)))
         assert "something else further down" in " ".join(read_table(path).notes)
         with pytest.raises(ValueError, match="`when` must be a numeric column"):
