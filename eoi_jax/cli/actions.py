@@ -110,7 +110,7 @@ def identify(
     passes_option = "" if passes is None else f" --passes {passes}"
     passes_option += " --recursive" if recursive else ""
     config_text = _with_command(f"eoi identify{_config_argument(config)}{passes_option}", source)
-    _write_run(
+    replaced = _write_run(
         folder,
         lambda draft: run_folder.write_identification(
             draft, result, validation, summary, config_text
@@ -120,8 +120,8 @@ def identify(
     text = "\n\n".join(filter(None, lines))
     if result.status.code == "undetermined":
         complaint = f"no answer ({result.status})"
-        return Outcome(summary, text, folder, ExitCode.NO_ANSWER, complaint)
-    return Outcome(summary, text, folder)
+        return Outcome(summary, text, folder, ExitCode.NO_ANSWER, complaint, replaced)
+    return Outcome(summary, text, folder, replaced=replaced)
 
 
 def _determined(result: Identification) -> bool:
@@ -161,13 +161,13 @@ def discover(
         return Outcome(summary, code=ExitCode.NO_ANSWER, complaint=complaint)
     folder = output / job.settings.name
     config_text = _with_command(f"eoi discover{_config_argument(config)}", source)
-    _write_run(
-        folder, lambda draft: run_folder.write_discovery(draft, result, summary, config_text)
-    )
+    parts = result, summary, config_text
+    replaced = _write_run(folder, lambda draft: run_folder.write_discovery(draft, *parts))
+    outcome = Outcome(summary, discovery_text(result), folder, replaced=replaced)
     if result.status.code == "unexplained":
         # The folder is written all the same: it has the maps of the residual.
-        return Outcome(summary, discovery_text(result), folder, ExitCode.NO_ANSWER, answer(result))
-    return Outcome(summary, discovery_text(result), folder)
+        return replace(outcome, code=ExitCode.NO_ANSWER, complaint=answer(result))
+    return outcome
 
 
 def refine(
@@ -217,8 +217,8 @@ def refine(
     config_text = _with_command(f"eoi refine{_config_argument(config)}", source)
     extra = {"start": start, "before": start_run, "after": refined_run}
     parts = (result, extra, summary, text, config_text)
-    _write_run(folder, lambda draft: run_folder.write_refinement(draft, *parts))
-    return Outcome(summary, text, folder)
+    replaced = _write_run(folder, lambda draft: run_folder.write_refinement(draft, *parts))
+    return Outcome(summary, text, folder, replaced=replaced)
 
 
 def sweep(
@@ -603,14 +603,20 @@ def _validate(result: Identification | Refinement, job: run_folder.Job) -> Valid
     return validate(result.plant, made_alike(job.held_out, job.records, result.records))
 
 
-def _write_run(folder: Path, write: Callable[[Path], None]) -> None:
-    """Write the files of a run and its report into a folder, all or nothing."""
+def _write_run(folder: Path, write: Callable[[Path], None]) -> str:
+    """Write the files of a run and its report into a folder, all or nothing.
+
+    Returns:
+        The command of a run that stood there, where it was another one; else empty.
+    """
 
     def fill(draft: Path) -> None:
         write(draft)
         html_report.write_report(draft)
 
+    former = run_folder.command_of_run(folder)
     write_folder(folder, fill)
+    return former if former != run_folder.command_of_run(folder) else ""
 
 
 def _config_argument(config: Path | None) -> str:

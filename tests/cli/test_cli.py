@@ -241,6 +241,19 @@ def test_a_run_is_replaced_only_by_a_whole_new_one(tmp_path: Path):
     assert [path.name for path in folder.parent.iterdir()] == ["one"]
 
 
+def test_a_run_in_place_of_that_of_another_command_says_so(config: Path, tmp_path: Path, undrawn):
+    output = ("--output", tmp_path / "runs")
+    told = []
+    for arguments in (("identify", config), ("refine", config), ("refine", config)):
+        result = eoi(*arguments, *output)
+        assert result.exit_code == 0, result.output
+        told.append([line for line in result.stdout.splitlines() if "It replaced" in line])
+    identified = f"It replaced the run of `eoi identify {config}`; --output names another folder."
+    assert told == [[], [identified], []]
+    result = eoi("identify", config, *output, "--json")
+    assert "It replaced" not in result.stdout
+
+
 def test_an_old_run_returns_if_the_exchange_itself_fails(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ):
