@@ -277,6 +277,7 @@ def inspect(
     output: Path,
     progress: ProgressCallback | None,
     max_gigabytes: float | None = None,
+    sheet: str | None = None,
 ) -> Outcome:
     """Inspect a data file.
 
@@ -285,6 +286,7 @@ def inspect(
         output: folder in which a folder with the figure is written.
         progress: called with the progress of the work.
         max_gigabytes: what a compressed file may unpack to [1e9 bytes]; None: `MAX_GIGABYTES`.
+        sheet: of an Excel file; None: the first that is not empty.
 
     Returns:
         The outcome.
@@ -296,7 +298,8 @@ def inspect(
     run_folder.check_place(folder, "file")
     if progress is not None:
         progress("reading", 0, None, "")
-    inspection = inspect_file(path, MAX_GIGABYTES if max_gigabytes is None else max_gigabytes)
+    size = MAX_GIGABYTES if max_gigabytes is None else max_gigabytes
+    inspection = inspect_file(path, size, sheet=sheet)
     if progress is not None:
         progress("drawing", 0, None, "")
     summary, text = inspection.summary(), str(inspection)
@@ -315,6 +318,7 @@ def init(
     time: str | None = None,
     inputs: Sequence[str] | None = None,
     outputs: Sequence[str] | None = None,
+    sheet: str | None = None,
 ) -> Outcome:
     """Write a config for data files that runs unchanged; its comments list every guess.
 
@@ -326,6 +330,7 @@ def init(
         time: its column; None: guessed.
         inputs: their columns; None: guessed.
         outputs: their columns; None: guessed.
+        sheet: of Excel files; None: the first that is not empty.
 
     Returns:
         The outcome.
@@ -346,10 +351,11 @@ def init(
     with run_folder.quiet_records():
         size = MAX_GIGABYTES if max_gigabytes is None else max_gigabytes
         inspections = [
-            inspect_file(path, size, time=time, inputs=inputs, outputs=outputs) for path in paths
+            inspect_file(path, size, time=time, inputs=inputs, outputs=outputs, sheet=sheet)
+            for path in paths
         ]
         inspection = inspections[0]
-        draft = cli.template.draft(inspections, config_path)
+        draft = cli.template.draft(inspections, config_path, sheet)
         text = cli.template.checked(draft, config_path)
 
     def fill(new: Path) -> None:

@@ -181,6 +181,7 @@ def inspect(
     time: str | None = None,
     inputs: Sequence[str] | None = None,
     outputs: Sequence[str] | None = None,
+    sheet: str | None = None,
 ) -> Inspection:
     """Inspect a data file before anything is configured.
 
@@ -191,6 +192,7 @@ def inspect(
         time: column of the stamps [s]; None: guessed.
         inputs: their columns; None: guessed.
         outputs: their columns; None: guessed.
+        sheet: of an Excel file; None: the first that is not empty.
 
     Returns:
         The columns, the clock, and guesses of the roles: time [s], inputs and outputs.
@@ -201,7 +203,7 @@ def inspect(
             is named in two roles.
     """
     path = Path(path)
-    table, unstamped = stamped_rows(oldest_first(read_table(path, max_gigabytes)))
+    table, unstamped = stamped_rows(oldest_first(read_table(path, max_gigabytes, sheet)))
     samples = _samples(path, table)
     numbers = _numbers(table, samples)
     named = {"time": None if time is None else [time], "input": inputs, "output": outputs}
@@ -303,7 +305,7 @@ def _samples(path: Path, table: Table) -> int:
         "path",
         "must hold a column of numbers",
         path,
-        f"It holds {', '.join(list(table.columns)[:10])}.",
+        f"It holds {', '.join(list(table.columns)[:10])}. {table.sheet_text}".strip(),
     )
     candidates = [length for length in lengths if length >= SHORTEST]
     check(
@@ -311,6 +313,7 @@ def _samples(path: Path, table: Table) -> int:
         "path",
         f"must hold at least {SHORTEST} rows of numbers",
         f"{max(lengths)} in {path}",
+        table.sheet_text,
     )
     return max(set(candidates), key=lambda n: (candidates.count(n) * min(n, 1000), n))
 

@@ -313,6 +313,30 @@ def test_the_installed_command_runs_the_built_in_pendulum_in_an_empty_folder(tmp
     assert done.stderr == ""
 
 
+def test_a_config_has_the_sheet_that_was_chosen(tmp_path: Path):
+    pytest.importorskip("openpyxl", reason="openpyxl is not installed")
+    pd = pytest.importorskip("pandas")
+    time = 0.01 * np.arange(300)
+    path, target = tmp_path / "rig.xlsx", tmp_path / "rig.toml"
+    with pd.ExcelWriter(path) as book:
+        pd.DataFrame(["A protocol"]).to_excel(book, sheet_name="Info", index=False, header=False)
+        for name, size in (("First run", 1.0), ("Second run", 2.0)):
+            columns = {"t": time, "u": np.sign(np.sin(9 * time)), "y": size * np.sin(3 * time)}
+            pd.DataFrame(columns).to_excel(book, sheet_name=name, index=False)
+    assert "`sheet` chooses another: `First run`" in eoi("inspect", path).output
+    result = eoi("inspect", path, "--sheet", "First run", "--output", tmp_path)
+    assert result.exit_code == 0, result.output
+    result = eoi("init", path, "--sheet", "First run", "--output", target)
+    assert result.exit_code == 0, result.output
+    target.write_text(target.read_text() + '\n[test]\nsheet = "Second run"\nslice = [0, 300]\n')
+    settings = configs.load(target)
+    model = build.plant(settings, tmp_path)
+    (fitted,) = build.records(settings, model, tmp_path, None)
+    (unseen,) = build.unseen_records(settings, model, tmp_path, None)
+    assert np.max(fitted.outputs) == pytest.approx(1.0, abs=1e-3)
+    assert np.max(unseen.outputs) == pytest.approx(2.0, abs=1e-3)
+
+
 def test_version_is_printed():
     done = eoi("--version")
     assert done.exit_code == 0

@@ -129,13 +129,14 @@ def _is_compressed(path: Path) -> bool:
     return path.suffix.lower() == ".gz"
 
 
-def read_lines(text: str) -> Table:
+def read_lines(text: str, separator: str) -> Table:
     """The columns of a text table in memory.
 
     Args:
         text: the table.
+        separator: between its cells.
     """
-    return _read(io.StringIO(text), _head(io.StringIO(text)), "utf-8")
+    return _read(io.StringIO(text), _head(io.StringIO(text)), "utf-8", separator)
 
 
 def _head(stream: Iterable[str], lines: int = 200) -> list[str]:
@@ -157,10 +158,10 @@ def _encoding(first: bytes) -> str:
     return "cp1252"  # degree signs and umlauts of Windows
 
 
-def _read(source: Any, lines: Sequence[str], encoding: str) -> Table:
+def _read(source: Any, lines: Sequence[str], encoding: str, separator: str | None = None) -> Table:
     import pandas as pd  # heavy; only files need it
 
-    layout = _layout([line.rstrip("\r\n") for line in lines])
+    layout = _layout([line.rstrip("\r\n") for line in lines], separator)
     with warnings.catch_warnings():
         warnings.simplefilter(
             "ignore", pd.errors.DtypeWarning
@@ -319,15 +320,16 @@ def _elapsed(texts: Any) -> np.ndarray | None:
 # -- layout -------------------------------------------------------------------------------
 
 
-def _layout(lines: Sequence[str]) -> _Layout:
-    """Separator, decimal mark, first row of data, names and units from the first lines."""
+def _layout(lines: Sequence[str], separator: str | None = None) -> _Layout:
+    """Separator if it is not known, decimal mark, first row of data, names and units."""
     filled = [(i, line) for i, line in enumerate(lines) if line.strip()]
     remarks = [(i, line) for i, line in filled if line.lstrip()[0] in "%#"]
     body = [(i, line) for i, line in filled if line.lstrip()[0] not in "%#"]
     if not body:
         raise ValueError("it holds no data")
     sample = [line for _, line in body[len(body) // 2 :]]
-    separator = max(_SEPARATORS, key=lambda mark: _score(sample, mark))
+    if separator is None:
+        separator = max(_SEPARATORS, key=lambda mark: _score(sample, mark))
     rows = [(i, _cells(line, separator)) for i, line in body]
     width, value_columns = _value_columns([cells for _, cells in rows[len(rows) // 2 :]])
     start = next(

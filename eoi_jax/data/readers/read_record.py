@@ -8,6 +8,7 @@ import difflib
 import re
 import warnings
 from collections.abc import Callable, Mapping, Sequence
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -51,6 +52,7 @@ def read_record(
     max_gigabytes: Real = MAX_GIGABYTES,
     unwrap: Mapping[str, Real] | Mapping[int, Real] | None = None,
     mask_faults: bool = True,
+    sheet: str | None = None,
 ) -> Record:
     """A record from named columns of a file.
 
@@ -84,6 +86,7 @@ def read_record(
             range, in the unit after `scale`: ``{"encoder": 4096}``. See `Record.unwrapped`.
         mask_faults: whether samples that leave the course of an output alone are masked, as in
             `Record`.
+        sheet: of an Excel file; None: the first that is not empty.
 
     Returns:
         The record, with `notes` on the changes made to the data.
@@ -96,7 +99,7 @@ def read_record(
             unpacks to more than `max_gigabytes`; and the errors of `Record`.
     """
     path = Path(path)
-    table = read_table(path, max_gigabytes)
+    table = read_table(path, max_gigabytes, sheet)
     columns, roles = table.columns, (time, sample_period, inputs, outputs)
     if table.outputs and all(option in (None, ()) for option in roles):
         time, inputs, outputs = table.time, table.inputs, table.outputs
@@ -248,7 +251,7 @@ def _column(path: Path, table: Table, field: str, key: str) -> np.ndarray:
         field,
         f"must be a column of {path} (present: {_listed(columns)})",
         f"`{key}`",
-        hint.strip(),
+        f"{hint} {table.sheet_text}".strip(),
     )
     raise AssertionError
 
@@ -369,28 +372,34 @@ def _checked_suffix(path: Path) -> str:
     return suffix
 
 
-def read_table(path: str | Path, max_gigabytes: Real = MAX_GIGABYTES) -> Table:
+def read_table(
+    path: str | Path, max_gigabytes: Real = MAX_GIGABYTES, sheet: str | None = None
+) -> Table:
     """All columns of a file.
 
     Args:
         path: a file of a kind that `read_record` reads.
         max_gigabytes: largest unpacked size of a compressed file [1e9 bytes]; infinite for no
             limit.
+        sheet: of an Excel file; None: the first that is not empty.
 
     Returns:
         The columns; unprintable characters in their names are replaced by escape codes.
 
     Raises:
         ValueError: a file that is missing, of an unknown kind or of another kind than its name
-            says, or that unpacks to more than `max_gigabytes`.
+            says, or that unpacks to more than `max_gigabytes`; a sheet that it does not have.
     """
     path = Path(path)
     suffix = _checked_suffix(path)
+    rule = "must be left out for a file without sheets"
+    check(sheet is None or suffix == ".xlsx", "sheet", rule, f"`{sheet}` for {path}")
     allowance = Allowance(max_gigabytes)
     try:
         with warnings.catch_warnings():  # of the libraries, about damage that does not stop them
             warnings.simplefilter("ignore")
-            table = _READERS[suffix](path, allowance)
+            reader = partial(read_excel, sheet=sheet) if sheet is not None else _READERS[suffix]
+            table = reader(path, allowance)
     except Exception as failure:  # libraries raise errors of many classes for a damaged file
         rule = f"must be a readable {suffix} file"
         check(False, "path", rule, path, f"The reader says: {_cause(failure)}")
@@ -424,6 +433,7 @@ def _printable(table: Table) -> Table:
         None if table.time is None else readable.get(table.time),
         tuple(readable[key] for key in table.inputs),
         tuple(readable[key] for key in table.outputs),
+        tuple(map(printable, table.sheets)),
     )
 
 

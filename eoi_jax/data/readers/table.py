@@ -21,6 +21,7 @@ class Table:
         time: the column that the file declares as time.
         inputs: the columns that the file declares as inputs.
         outputs: the columns that the file declares as outputs.
+        sheets: of an Excel file, those that hold anything; the one that was read comes first.
     """
 
     columns: Columns
@@ -30,6 +31,15 @@ class Table:
     time: str | None = None
     inputs: tuple[str, ...] = ()
     outputs: tuple[str, ...] = ()
+    sheets: tuple[str, ...] = ()
+
+    @property
+    def sheet_text(self) -> str:
+        """Which sheet of a file with several was read, and how to choose another; else empty."""
+        if len(self.sheets) < 2:
+            return ""
+        listed = ", ".join(f"`{name}`" for name in self.sheets[1:20])
+        return f"Read from the sheet `{self.sheets[0]}`; `sheet` chooses another: {listed}."
 
 
 def add_columns(columns: Columns, notes: list[str], key: str, values: np.ndarray) -> None:

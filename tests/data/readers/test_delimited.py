@@ -357,7 +357,35 @@ def test_a_sheet_with_titles_units_and_dates_is_read(tmp_path):
     record = read_record(path, "when", "u", "y")
     np.testing.assert_allclose(record.time, T, atol=2e-6)
     np.testing.assert_allclose(record.outputs[:, 0], Y, atol=1e-12)
-    assert "sheet `Log`, the first of 2" in " ".join(read_table(path).notes)
+    note = "Read from the sheet `Log`; `sheet` chooses another: `Remarks`."
+    assert note in read_table(path).notes
+
+
+def test_the_sheet_of_an_excel_file_can_be_chosen(tmp_path):
+    pytest.importorskip("openpyxl", reason="openpyxl is not installed")
+    path = tmp_path / "run.xlsx"
+    with pd.ExcelWriter(path) as book:
+        titles = pd.DataFrame(["A protocol of ours", "by two people"])
+        titles.to_excel(book, sheet_name="Info", index=False, header=False)
+        for number in (1, 2):
+            frame = pd.DataFrame({"t": T, "u": U, "y": number * Y})
+            frame.to_excel(book, sheet_name=f"Run {number}", index=False)
+    others = r"Read from the sheet `Info`; `sheet` chooses another: `Run 1`, `Run 2`\."
+    with pytest.raises(ValueError, match=f"It holds A protocol of ours. {others}"):
+        inspect(path)
+    with pytest.raises(ValueError, match=f"`time` must be a column of .*{others}"):
+        read_record(path, "t", "u", "y")
+    with pytest.raises(
+        ValueError, match="no sheet `Run 3` that holds anything; those that do: `Info`, `Run 1`, `R"
+    ):
+        read_record(path, "t", "u", "y", sheet="Run 3")
+    for number in (1, 2):
+        outputs = read_record(path, "t", "u", "y", sheet=f"Run {number}").outputs
+        np.testing.assert_allclose(outputs[:, 0], number * Y, atol=1e-12)
+        assert inspect(path, sheet=f"Run {number}").outputs == ("y",)
+    (tmp_path / "run.csv").write_text("t,u,y\n" + rows())
+    with pytest.raises(ValueError, match="`sheet` must be left out for a file without sheets"):
+        read_record(tmp_path / "run.csv", "t", "u", "y", sheet="Run 1")
 
 
 @settings(
