@@ -107,7 +107,7 @@ def identify(
     passes_option = "" if passes is None else f" --passes {passes}"
     passes_option += " --recursive" if recursive else ""
     config_text = _with_command(f"eoi identify{_config_argument(config)}{passes_option}", source)
-    _write_run(
+    replaced = _write_run(
         folder,
         lambda draft: run_folder.write_identification(
             draft, result, validation, summary, config_text
@@ -117,8 +117,8 @@ def identify(
     text = "\n\n".join(filter(None, lines))
     if result.status.code == "undetermined":
         complaint = f"no answer ({result.status})"
-        return Outcome(summary, text, folder, ExitCode.NO_ANSWER, complaint)
-    return Outcome(summary, text, folder)
+        return Outcome(summary, text, folder, ExitCode.NO_ANSWER, complaint, replaced)
+    return Outcome(summary, text, folder, replaced=replaced)
 
 
 def _determined(result: Identification) -> bool:
@@ -158,13 +158,13 @@ def discover(
         return Outcome(summary, code=ExitCode.NO_ANSWER, complaint=complaint)
     folder = output / job.settings.name
     config_text = _with_command(f"eoi discover{_config_argument(config)}", source)
-    _write_run(
-        folder, lambda draft: run_folder.write_discovery(draft, result, summary, config_text)
-    )
+    parts = result, summary, config_text
+    replaced = _write_run(folder, lambda draft: run_folder.write_discovery(draft, *parts))
+    outcome = Outcome(summary, discovery_text(result), folder, replaced=replaced)
     if result.status.code == "unexplained":
         # The folder is written all the same: it has the maps of the residual.
-        return Outcome(summary, discovery_text(result), folder, ExitCode.NO_ANSWER, answer(result))
-    return Outcome(summary, discovery_text(result), folder)
+        return replace(outcome, code=ExitCode.NO_ANSWER, complaint=answer(result))
+    return outcome
 
 
 def refine(
@@ -214,8 +214,8 @@ def refine(
     config_text = _with_command(f"eoi refine{_config_argument(config)}", source)
     extra = {"start": start, "before": start_run, "after": refined_run}
     parts = (result, extra, summary, text, config_text)
-    _write_run(folder, lambda draft: run_folder.write_refinement(draft, *parts))
-    return Outcome(summary, text, folder)
+    replaced = _write_run(folder, lambda draft: run_folder.write_refinement(draft, *parts))
+    return Outcome(summary, text, folder, replaced=replaced)
 
 
 def sweep(
@@ -274,6 +274,7 @@ def inspect(
     output: Path,
     progress: ProgressCallback | None,
     max_gigabytes: float | None = None,
+    sheet: str | None = None,
 ) -> Outcome:
     """Inspect a data file.
 
@@ -282,6 +283,7 @@ def inspect(
         output: folder in which a folder with the figure is written.
         progress: called with the progress of the work.
         max_gigabytes: what a compressed file may unpack to [1e9 bytes]; None: `MAX_GIGABYTES`.
+        sheet: of an Excel file; None: the first that is not empty.
 
     Returns:
         The outcome.
@@ -293,7 +295,8 @@ def inspect(
     run_folder.check_place(folder, "file")
     if progress is not None:
         progress("reading", 0, None, "")
-    inspection = inspect_file(path, MAX_GIGABYTES if max_gigabytes is None else max_gigabytes)
+    size = MAX_GIGABYTES if max_gigabytes is None else max_gigabytes
+    inspection = inspect_file(path, size, sheet=sheet)
     if progress is not None:
         progress("drawing", 0, None, "")
     summary, text = inspection.summary(), str(inspection)
@@ -312,6 +315,7 @@ def init(
     time: str | None = None,
     inputs: Sequence[str] | None = None,
     outputs: Sequence[str] | None = None,
+    sheet: str | None = None,
 ) -> Outcome:
     """Write a config for data files that runs unchanged; its comments list every guess.
 
@@ -323,6 +327,7 @@ def init(
         time: its column; None: guessed.
         inputs: their columns; None: guessed.
         outputs: their columns; None: guessed.
+        sheet: of Excel files; None: the first that is not empty.
 
     Returns:
         The outcome.
@@ -343,10 +348,11 @@ def init(
     with run_folder.quiet_records():
         size = MAX_GIGABYTES if max_gigabytes is None else max_gigabytes
         inspections = [
-            inspect_file(path, size, time=time, inputs=inputs, outputs=outputs) for path in paths
+            inspect_file(path, size, time=time, inputs=inputs, outputs=outputs, sheet=sheet)
+            for path in paths
         ]
         inspection = inspections[0]
-        draft = cli.template.draft(inspections, config_path)
+        draft = cli.template.draft(inspections, config_path, sheet)
         text = cli.template.checked(draft, config_path)
 
     def fill(new: Path) -> None:
@@ -569,14 +575,20 @@ def _validate(result: Identification | Refinement, job: run_folder.Job) -> Valid
     return validate(result.plant, made_alike(job.held_out, job.records, result.records))
 
 
-def _write_run(folder: Path, write: Callable[[Path], None]) -> None:
-    """Write the files of a run and its report into a folder, all or nothing."""
+def _write_run(folder: Path, write: Callable[[Path], None]) -> str:
+    """Write the files of a run and its report into a folder, all or nothing.
+
+    Returns:
+        The command of a run that stood there, where it was another one; else empty.
+    """
 
     def fill(draft: Path) -> None:
         write(draft)
         html_report.write_report(draft)
 
+    former = run_folder.command_of_run(folder)
     write_folder(folder, fill)
+    return former if former != run_folder.command_of_run(folder) else ""
 
 
 def _config_argument(config: Path | None) -> str:

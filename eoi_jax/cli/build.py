@@ -313,6 +313,8 @@ def records_of_files(config: Config, model: Plant, files: Sequence[Path]) -> lis
     if table is None:
         clock = inspect(files[0], inputs=model.inputs, outputs=model.outputs).clock.column
         table = DataTable(names, model.inputs, model.outputs, time=clock)
+    if any(path.suffix.lower() != ".xlsx" for path in files):
+        table = msgspec.structs.replace(table, sheet=None)
     parts = {} if table.time is None else {name: _parts(name, table) for name in names}
     table = msgspec.structs.replace(table, files=names, slice=None, parts=parts)
     return _read(table, "data", model, config.controller, Path(), None)
@@ -320,7 +322,7 @@ def records_of_files(config: Config, model: Plant, files: Sequence[Path]) -> lis
 
 def _parts(path: str, table: DataTable) -> tuple[tuple[int, int], ...]:
     """Samples between restarts of the logger; none where time goes on, or is not in the file."""
-    stamps = read_table(Path(path), table.max_gigabytes).columns.get(table.time or "")
+    stamps = read_table(Path(path), table.max_gigabytes, table.sheet).columns.get(table.time or "")
     if stamps is None or stamps.dtype.kind not in "iufMm":
         return ()
     parts = parts_between_restarts(stamps)
@@ -394,6 +396,7 @@ def _read_file(path: Path, table: DataTable, name: str, options: dict[str, Any])
             burn_in=table.burn_in,
             mask_faults=table.mask_faults,
             max_gigabytes=table.max_gigabytes,
+            sheet=table.sheet,
             **options,
         )
     except ValueError as error:
@@ -408,7 +411,7 @@ def _check_columns(table: DataTable, name: str, path: Path) -> None:
     assert table.references is not None
     if not table.references:
         return
-    columns = read_table(path, table.max_gigabytes).columns
+    columns = read_table(path, table.max_gigabytes, table.sheet).columns
     rule = f"must be columns of {path} (present: {', '.join(columns)})"
     advice = "Name the column of each reference of [controller] there."
     for column in table.references:

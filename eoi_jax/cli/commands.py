@@ -33,6 +33,7 @@ from eoi_jax.cli.options import (
     Run,
     RunFolder,
     RunsAndFiles,
+    Sheet,
     Source,
     Trust,
     complete_config,
@@ -209,11 +210,16 @@ def inspect(
     file: DataFile,
     output: Output = RUNS,
     max_gigabytes: MaxGigabytes = None,
+    sheet: Sheet = None,
     as_json: AsJson = False,
     quiet: Quiet = False,
 ) -> None:
     """Inspect a data file: a table of its columns and a figure."""
-    _answer(as_json, quiet, lambda update: cli.actions.inspect(file, output, update, max_gigabytes))
+    _answer(
+        as_json,
+        quiet,
+        lambda update: cli.actions.inspect(file, output, update, max_gigabytes, sheet),
+    )
 
 
 @app.command(
@@ -246,6 +252,7 @@ def init(
     ] = None,
     force: Annotated[bool, typer.Option("--force", help="Replace an existing config.")] = False,
     max_gigabytes: MaxGigabytes = None,
+    sheet: Sheet = None,
     as_json: AsJson = False,
     quiet: Quiet = False,
 ) -> None:
@@ -258,7 +265,7 @@ def init(
         as_json,
         quiet,
         lambda _: cli.actions.init(
-            files, output, force, max_gigabytes, time=time, inputs=u, outputs=y
+            files, output, force, max_gigabytes, time=time, inputs=u, outputs=y, sheet=sheet
         ),
     )
 

@@ -365,6 +365,7 @@ class DataTable(msgspec.Struct, frozen=True):
         burn_in: time at the start that is not scored [s].
         mask_faults: whether samples that leave the course of an output alone are masked.
         max_gigabytes: largest unpacked size of a compressed file [1e9 bytes].
+        sheet: of Excel files; default: the first that is not empty.
     """
 
     files: Annotated[tuple[str, ...], msgspec.Meta(min_length=1)]
@@ -382,6 +383,7 @@ class DataTable(msgspec.Struct, frozen=True):
     burn_in: NotNegative = 0.0
     mask_faults: bool = True
     max_gigabytes: Positive = MAX_GIGABYTES
+    sheet: str | None = None
 
 
 class Config(msgspec.Struct, frozen=True):

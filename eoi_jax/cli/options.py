@@ -145,6 +145,12 @@ MaxGigabytes = Annotated[
         show_default=False,
     ),
 ]
+Sheet = Annotated[
+    str | None,
+    typer.Option(
+        help="Sheet of an Excel file; default: the first that is not empty.", show_default=False
+    ),
+]
 
 # Options of `eoi export`, in the panels of its help.
 _CONTENT, _OF_ESTIMATOR = "Content: one of these", "With --estimator"

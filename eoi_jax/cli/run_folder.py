@@ -158,6 +158,20 @@ def check_place(folder: Path, field: str) -> None:
                 check(False, "--output", rule, folder.parent)
 
 
+def command_of_run(folder: Path) -> str:
+    """The command whose run is in a folder; empty without a run.
+
+    Args:
+        folder: of the run.
+    """
+    try:
+        with (folder / "config.toml").open(encoding="utf-8") as stream:
+            line = stream.readline().strip()
+    except (OSError, UnicodeDecodeError):
+        return ""
+    return line.removeprefix("# ") if line.startswith("# eoi ") else ""
+
+
 # -- as files ---------------------------------------------------------------------------------
 
 

@@ -43,7 +43,7 @@ class DraftSettings:
 _SETTINGS = DraftSettings()
 
 
-def draft(inspections: Sequence[Inspection], target: Path) -> str:
+def draft(inspections: Sequence[Inspection], target: Path, sheet: str | None = None) -> str:
     """A commented config for data files of the same columns.
 
     The model is linear, of first or second order, in one output; its nominal values are a rough
@@ -53,6 +53,7 @@ def draft(inspections: Sequence[Inspection], target: Path) -> str:
     Args:
         inspections: of `inspect`; roles and first guesses are those of the first.
         target: path of the config, to which the paths of the files are relative.
+        sheet: that was chosen in Excel files.
 
     Returns:
         TOML that `config.load` reads.
@@ -75,7 +76,7 @@ def draft(inspections: Sequence[Inspection], target: Path) -> str:
     blocks = [
         _head(inspection, name, target),
         _model_lines(inspection, inputs, output, symbols, order, values),
-        _data_lines(inspections, inputs, output, outputs[1:], target),
+        _data_lines(inspections, inputs, output, outputs[1:], target, sheet),
         _option_lines(),
         *(_controller_lines(reference, symbols) for reference in inspection.references[:1]),
     ]
@@ -299,6 +300,7 @@ def _data_lines(
     output: Channel,
     further_outputs: Sequence[str],
     target: Path,
+    sheet: str | None,
 ) -> str:
     """[data], and [validation] with data that the fit does not use."""
     inspection = inspections[0]
@@ -308,6 +310,7 @@ def _data_lines(
     lines = [
         "[data]",
         f"files = {_list(files[:-1] or files)}",
+        *([] if sheet is None else [f"sheet = {_text(sheet)}"]),
         *_time_lines(inspection),
         f"inputs = {_list(inputs)}",
         f"outputs = {_list([output.name])}",

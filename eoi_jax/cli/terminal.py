@@ -43,6 +43,7 @@ class Outcome:
         place: folder or file that was written; None: nothing was written, see `complaint`.
         code: exit status.
         complaint: what is wrong if the exit status is not 0.
+        replaced: the command of another run, in whose place this one stands; empty: there was none.
     """
 
     summary: dict[str, Any]
@@ -50,6 +51,7 @@ class Outcome:
     place: Path | None = None
     code: int = 0
     complaint: str = ""
+    replaced: str = ""
 
 
 @contextmanager
@@ -281,6 +283,8 @@ def show(outcome: Outcome, as_json: bool, quiet: bool) -> None:
     elif outcome.place.is_dir():
         files = ", ".join(sorted(path.name for path in outcome.place.iterdir()))
         say(f"{outcome.text}\n\n{outcome.place}/: {files}")
+        if outcome.replaced:
+            say(f"It replaced the run of `{outcome.replaced}`; --output names another folder.")
     else:
         say(outcome.text)
     if outcome.code:

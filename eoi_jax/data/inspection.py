@@ -3,7 +3,6 @@
 Which column is the time, an input or an output is a guess, and is reported as a guess.
 """
 
-import re
 import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
@@ -25,9 +24,11 @@ from eoi_jax.data.column_names import (
     unit_of_name,
 )
 from eoi_jax.data.input_holds import STAIRCASE
+from eoi_jax.data.readers.delimited import first_word
 from eoi_jax.data.readers.limits import MAX_GIGABYTES
 from eoi_jax.data.readers.read_record import read_table
 from eoi_jax.data.readers.table import Table
+from eoi_jax.data.readers.words import is_grouped
 from eoi_jax.data.record import Record
 from eoi_jax.data.resampling import Real
 from eoi_jax.data.time_axis import (
@@ -38,6 +39,8 @@ from eoi_jax.data.time_axis import (
     numbers_runs,
     oldest_first,
     parts_between_restarts,
+    seconds_from_first,
+    stamped_rows,
 )
 from eoi_jax.data.wrapping import Wrapping, course, wrapping
 
@@ -178,6 +181,7 @@ def inspect(
     time: str | None = None,
     inputs: Sequence[str] | None = None,
     outputs: Sequence[str] | None = None,
+    sheet: str | None = None,
 ) -> Inspection:
     """Inspect a data file before anything is configured.
 
@@ -188,6 +192,7 @@ def inspect(
         time: column of the stamps [s]; None: guessed.
         inputs: their columns; None: guessed.
         outputs: their columns; None: guessed.
+        sheet: of an Excel file; None: the first that is not empty.
 
     Returns:
         The columns, the clock, and guesses of the roles: time [s], inputs and outputs.
@@ -198,7 +203,7 @@ def inspect(
             is named in two roles.
     """
     path = Path(path)
-    table = oldest_first(read_table(path, max_gigabytes))
+    table, unstamped = stamped_rows(oldest_first(read_table(path, max_gigabytes, sheet)))
     samples = _samples(path, table)
     numbers = _numbers(table, samples)
     named = {"time": None if time is None else [time], "input": inputs, "output": outputs}
@@ -220,7 +225,7 @@ def inspect(
     ]
     local = clock.column and table.columns[clock.column].dtype.kind == "M"
     advice = daylight_saving(numbers[clock.column]) if clock.column and local else []
-    advice = (*advice, *_advice(channels, clock, samples))
+    advice = (*unstamped, *advice, *_advice(channels, clock, samples))
     return Inspection(
         path, samples, clock, tuple(channels), (*left_out, *table.objects.values()),
         (*table.notes, *_unit_notes(channels, table)), advice, numbers,
@@ -286,7 +291,7 @@ def _numbers(table: Table, samples: int) -> dict[str, Float[np.ndarray, " time"]
         if len(values) != samples:
             continue
         if values.dtype.kind in "Mm":
-            numbers[key] = (values - values[0]) / np.timedelta64(1, "s")
+            numbers[key] = seconds_from_first(values)
         elif values.dtype.kind in "biuf":
             numbers[key] = values.astype(np.float64, copy=False)
     return numbers
@@ -300,7 +305,7 @@ def _samples(path: Path, table: Table) -> int:
         "path",
         "must hold a column of numbers",
         path,
-        f"It holds {', '.join(list(table.columns)[:10])}.",
+        f"It holds {', '.join(list(table.columns)[:10])}. {table.sheet_text}".strip(),
     )
     candidates = [length for length in lengths if length >= SHORTEST]
     check(
@@ -308,6 +313,7 @@ def _samples(path: Path, table: Table) -> int:
         "path",
         f"must hold at least {SHORTEST} rows of numbers",
         f"{max(lengths)} in {path}",
+        table.sheet_text,
     )
     return max(set(candidates), key=lambda n: (candidates.count(n) * min(n, 1000), n))
 
@@ -318,6 +324,7 @@ _KINDS = {
     "f": "numbers", "i": "whole numbers", "u": "whole numbers", "b": "truth values",
     "M": "dates", "m": "times of day", "c": "complex numbers",
 }  # fmt: skip
+_STAMPS = (_KINDS["M"], _KINDS["m"])
 
 
 def _channel(
@@ -331,10 +338,9 @@ def _channel(
     kind = _KINDS.get(raw.dtype.kind, "text")
     if key not in numbers:
         missing = sum(value is None for value in raw.tolist())
-        example = next((value for value in raw.tolist() if isinstance(value, str)), "")
-        grouped = re.fullmatch(r"[+-]?\d{1,3}([,.' ]\d{3})+([.,]\d*)?", example.strip())
+        example = first_word(raw.tolist())
         reason = f"such as {example!r}" if example else ""
-        reason += ": write numbers without thousands separators" if grouped else ""
+        reason += ": write numbers without thousands separators" if is_grouped(example) else ""
         return Channel(key, kind, unit, "text", reason, missing=missing)
     values = numbers[key]
     finite = np.isfinite(values)
@@ -346,7 +352,7 @@ def _channel(
     channel = Channel(key, kind, unit, "other", "", low, high, missing, changes)
     if low == high:
         return replace(channel, role="constant", why="it never changes")
-    if key == clock.column or kind in ("dates", "times of day"):
+    if key == clock.column or kind in _STAMPS:
         return channel
     wraps = wrapping(values, finite) if kind != "truth values" else None
     channel = replace(channel, wraps=wraps)
@@ -425,7 +431,9 @@ def _assign_roles(
     for channel in clocked:
         if channel.name in declared:
             roles[channel.name] = (declared[channel.name], "the file says so")
-        elif numbers_runs(numbers.get(channel.name), numbers.get(clock.column or "")):
+        elif channel.kind in _STAMPS or numbers_runs(
+            numbers.get(channel.name), numbers.get(clock.column or "")
+        ):
             continue
         elif (
             channel.role == "other" and channel.name in numbers and channel.name not in clock.others

@@ -319,6 +319,52 @@ def oldest_first(table: Table) -> Table:
     return table
 
 
+def seconds_from_first(stamps: np.ndarray) -> Float[np.ndarray, " time"]:
+    """Dates or times of day in seconds from the first that is known [s]; NaN where one is missing.
+
+    Args:
+        stamps: of the type datetime64 or timedelta64.
+    """
+    first = stamps[np.argmin(np.isnat(stamps))]  # the first of all where none is known
+    return (stamps - first) / np.timedelta64(1, "s")
+
+
+def stamped_rows(table: Table) -> tuple[Table, list[str]]:
+    """The table without the rows in which its clock is missing, and a sentence on them.
+
+    A clock has dates or the name of a time, is known in most rows, and never goes back.
+    Where one is known in all rows, or there is none, the table stays as it is.
+
+    Args:
+        table: contents of a file.
+    """
+    clock, is_stamped = "", np.zeros(0, bool)
+    for key, values in table.columns.items():
+        dates = values.dtype.kind in "Mm"
+        if not (dates or (values.dtype.kind in "iuf" and _NAMES.match(_stem(key)))):
+            continue
+        stamps = seconds_from_first(values) if dates and len(values) else values
+        finite = np.isfinite(stamps.astype(float))
+        steps = np.diff(stamps[finite])
+        if 2 * np.sum(finite) <= len(finite) or np.any(steps < 0) or not np.any(steps > 0):
+            continue
+        if finite.all():
+            return table, []
+        if not clock:
+            clock, is_stamped = key, finite
+    if not clock:
+        return table, []
+    columns = {
+        name: values[is_stamped] if len(values) == len(is_stamped) else values
+        for name, values in table.columns.items()
+    }
+    rows = np.flatnonzero(~is_stamped)
+    listed = ", ".join(map(str, rows[:5])) + (f" and {len(rows) - 5} more" if rows[5:].size else "")
+    sentence = f"`{clock}` has no stamp in row {listed}, counted from 0: left out here. A record "
+    sentence += "needs a stamp in all its rows: take such lines out of the file."
+    return replace(table, columns=columns), [sentence]
+
+
 def daylight_saving(stamps: np.ndarray, hour: float = 3600.0) -> list[str]:
     """Where local times leave out an hour or have one twice, as clocks are put forward and back.
 

@@ -60,6 +60,7 @@ class OnlineSettings:
 
     time_constants: float = 20.0  # of F, over which the injection's noise is correlated
     deviations: tuple[float, float] = (1.5, 12.0)  # u of a threshold
+    memory: float = 3.0  # T by default, in time constants of F: benchmarks/…/residual_alarm.py
 
 
 _SETTINGS = OnlineSettings()
@@ -343,9 +344,12 @@ def _checked_alarm(alarm: Alarm | None, ny: int, h: float) -> Alarm | None:
     check_kind("alarm", alarm, Alarm, "an Alarm or None")
     check_shape("alarm.power", alarm.power, (ny,), "one number an output")
     if not isinstance(alarm.memory, Tracer):
-        rule = f"must be at least a sample period, {h:g} s"
-        check(real(alarm.memory) >= h, "alarm.memory", rule, alarm.memory)
+        _check_memory("alarm.memory", real(alarm.memory), h)
     return alarm
+
+
+def _check_memory(name: str, memory: float, h: float) -> None:
+    check(memory >= h, name, f"must be at least a sample period, {h:g} s", memory)
 
 
 def online_estimator(
@@ -353,7 +357,7 @@ def online_estimator(
     records: Record | Sequence[Record],
     *,
     forgetting: float = 1.0,
-    memory: float = 0.5,
+    memory: float | None = None,
     false_alarms: float = 1.0 / 3600.0,
 ) -> OnlineEstimator:
     """The estimator of an identification, for a loop in real time with the records' sampling.
@@ -365,7 +369,8 @@ def online_estimator(
             samples where all records hold them, else they go in straight lines: nothing that needs
             the next samples, as a smooth input does, is known in real time (`hold` says which).
         forgetting: λ of the recursion: it remembers about 1/(1 - λ) samples.
-        memory: time over which the alarm takes the injection's power [s].
+        memory: time over which the alarm takes the injection's power [s]; None: three time
+            constants of the filter, 3/ω_c, and no less than the sample period.
         false_alarms: rate of false alarms [1/s], for Gaussian noise; by default one an hour.
 
     Returns:
@@ -379,13 +384,16 @@ def online_estimator(
     check_kind("result", result, Identification, "a result of `identify`")
     rule = "must have an estimate"
     check(result.status.fits, "result", rule, str(result.status))
-    check(real(memory) > 0, "memory", "must be positive [s]", memory)
+    check(memory is None or real(memory) > 0, "memory", "must be positive [s]", memory)
     check(real(false_alarms) > 0, "false_alarms", "must be positive [1/s]", false_alarms)
     plant = result.plant
     used = check_records(plant, records)
     periods = sorted({record.sample_period for record in used})
     equal = np.allclose(periods, periods[0], rtol=1e-9)
     check(equal, "records", "must have one sample period", periods)
+    usual = _SETTINGS.memory / real(result.lowpass.cutoff)
+    memory = max(usual, periods[0]) if memory is None else real(memory)
+    _check_memory("memory", memory, periods[0])
     held = all(hold == "zero" for record in used for hold in record.holds)
     hold = "zero" if held else "linear"
     passes = [
@@ -408,8 +416,8 @@ def online_estimator(
     power = squares / counts
     lags = int(np.ceil(_SETTINGS.time_constants / (result.lowpass.cutoff * periods[0])))
     correlation = _correlation(injections, lags) / (counts * power)
-    threshold = _threshold(correlation, counts, periods[0], real(memory), real(false_alarms))
-    alarm = Alarm(power, real(memory), threshold)
+    threshold = _threshold(correlation, counts, periods[0], memory, real(false_alarms))
+    alarm = Alarm(power, memory, threshold)
     return OnlineEstimator(
         plant,
         result.observer,

@@ -241,6 +241,19 @@ def test_a_run_is_replaced_only_by_a_whole_new_one(tmp_path: Path):
     assert [path.name for path in folder.parent.iterdir()] == ["one"]
 
 
+def test_a_run_in_place_of_that_of_another_command_says_so(config: Path, tmp_path: Path, undrawn):
+    output = ("--output", tmp_path / "runs")
+    told = []
+    for arguments in (("identify", config), ("refine", config), ("refine", config)):
+        result = eoi(*arguments, *output)
+        assert result.exit_code == 0, result.output
+        told.append([line for line in result.stdout.splitlines() if "It replaced" in line])
+    identified = f"It replaced the run of `eoi identify {config}`; --output names another folder."
+    assert told == [[], [identified], []]
+    result = eoi("identify", config, *output, "--json")
+    assert "It replaced" not in result.stdout
+
+
 def test_an_old_run_returns_if_the_exchange_itself_fails(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ):
@@ -298,6 +311,30 @@ def test_the_installed_command_runs_the_built_in_pendulum_in_an_empty_folder(tmp
     assert {path.name for path in (tmp_path / "runs" / "pendulum").iterdir()} == FILES
     assert any("no config was given: this is the built-in ex" in note for note in result["notes"])
     assert done.stderr == ""
+
+
+def test_a_config_has_the_sheet_that_was_chosen(tmp_path: Path):
+    pytest.importorskip("openpyxl", reason="openpyxl is not installed")
+    pd = pytest.importorskip("pandas")
+    time = 0.01 * np.arange(300)
+    path, target = tmp_path / "rig.xlsx", tmp_path / "rig.toml"
+    with pd.ExcelWriter(path) as book:
+        pd.DataFrame(["A protocol"]).to_excel(book, sheet_name="Info", index=False, header=False)
+        for name, size in (("First run", 1.0), ("Second run", 2.0)):
+            columns = {"t": time, "u": np.sign(np.sin(9 * time)), "y": size * np.sin(3 * time)}
+            pd.DataFrame(columns).to_excel(book, sheet_name=name, index=False)
+    assert "`sheet` chooses another: `First run`" in eoi("inspect", path).output
+    result = eoi("inspect", path, "--sheet", "First run", "--output", tmp_path)
+    assert result.exit_code == 0, result.output
+    result = eoi("init", path, "--sheet", "First run", "--output", target)
+    assert result.exit_code == 0, result.output
+    target.write_text(target.read_text() + '\n[test]\nsheet = "Second run"\nslice = [0, 300]\n')
+    settings = configs.load(target)
+    model = build.plant(settings, tmp_path)
+    (fitted,) = build.records(settings, model, tmp_path, None)
+    (unseen,) = build.unseen_records(settings, model, tmp_path, None)
+    assert np.max(fitted.outputs) == pytest.approx(1.0, abs=1e-3)
+    assert np.max(unseen.outputs) == pytest.approx(2.0, abs=1e-3)
 
 
 def test_version_is_printed():

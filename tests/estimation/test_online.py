@@ -521,6 +521,24 @@ def test_the_rate_of_false_alarms_is_what_was_asked_for(rate):
     assert 0.3 < alarms / (count * H * rate) < 2.0
 
 
+def test_a_plant_that_is_slower_has_the_same_alarm_slower(identified):
+    result, record = identified
+    fast = eoi.online_estimator(result, record, false_alarms=1e-3).alarm
+    assert fast.memory == pytest.approx(3.0 / result.lowpass.cutoff)
+    values = make("oscillator")[0].parameters
+    powers = {"g": 2, "c": 1, "k": 2}  # of 1/s in the unit of a parameter
+    slower = eoi.Plant(
+        oscillator, {name: value * 1e-3 ** powers[name] for name, value in values.items()}, 2,
+        inputs=("u",), outputs=("y",),
+    )  # fmt: skip
+    slow_record = eoi.Record(1e3 * record.time, record.inputs, record.outputs, hold="zero")
+    found = eoi.identify(slower, slow_record, instruments=False)
+    slow = eoi.online_estimator(found, slow_record, false_alarms=1e-6)
+    assert slow.sample_period == pytest.approx(1e3 * H)
+    assert slow.alarm.memory == pytest.approx(1e3 * fast.memory)
+    assert slow.alarm.threshold == pytest.approx(fast.threshold, rel=1e-3)
+
+
 @pytest.mark.parametrize("kind", ["friction", "offset"])
 def test_what_begins_in_the_middle_of_a_run_sets_it_off(identified, kind):
     result, record = identified
@@ -548,6 +566,11 @@ def test_wrong_arguments_are_named(identified, tmp_path):
     estimator = eoi.online_estimator(result, record)
     for arguments, message in (
         ({"memory": 0.0}, r"`memory` must be positive \[s\], got 0.0"),
+        (
+            {"memory": 0.1 * H},
+            f"`memory` must be at least a sample period, {H:g} s, got {0.1 * H:g}",
+        ),
+        ({"memory": 0.5 * H}, "`memory` must be at least a sample period"),
         ({"false_alarms": -1.0}, r"`false_alarms` must be positive \[1/s\]"),
         ({"forgetting": 2.0}, r"`forgetting` must lie in \(0, 1\]"),
     ):

@@ -1,8 +1,9 @@
 """Text tables: detection of separator, decimal mark, header, units and first row of data.
 
 The separator is the one with which most cells are numbers. The data start at the first row that
-has the form of the rows further down; the row above it holds the names. A row of units and lines
-before the header are recognised in the same way.
+has the form of the rows further down, with the rows straight above it that hold a word among
+their values; the row above them holds the names. A row of units and lines before the header are
+recognised in the same way.
 """
 
 import csv
@@ -25,7 +26,13 @@ from eoi_jax.data.readers.table import Columns, Table
 from eoi_jax.data.readers.words import without_unit, without_words
 
 _SEPARATORS = (";", "\t", ",", "|", "")  # "" for spaces
-_EMPTY = {"", "nan", "na", "n/a", "#n/a", "null", "none", "-"}
+# Cells without a value, as spreadsheets (in English and German), pandas and people write them.
+_NO_VALUE = (
+    "", "nan", "NaN", "NA", "N/A", "n/a", "#N/A", "null", "NULL", "None", "-", "n.a.", "N.A.",
+    "k.A.", "k. A.", "#DIV/0!", "#VALUE!", "#REF!", "#NUM!", "#NAME?", "#NULL!", "#WERT!", "#NV",
+    "#BEZUG!", "#ZAHL!",
+)  # fmt: skip
+_EMPTY = {word.lower() for word in _NO_VALUE}
 _POINT = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eEdD][+-]?\d+)?$|[+-]?inf(inity)?$", re.IGNORECASE)
 _COMMA = re.compile(r"[+-]?(\d+,\d+|,\d+)([eE][+-]?\d+)?$")
 _CLOCK = r"\d{1,2}:\d{2}(:\d{2}([.,]\d+)?)?\s*([AaPp][Mm])?"
@@ -122,13 +129,14 @@ def _is_compressed(path: Path) -> bool:
     return path.suffix.lower() == ".gz"
 
 
-def read_lines(text: str) -> Table:
+def read_lines(text: str, separator: str) -> Table:
     """The columns of a text table in memory.
 
     Args:
         text: the table.
+        separator: between its cells.
     """
-    return _read(io.StringIO(text), _head(io.StringIO(text)), "utf-8")
+    return _read(io.StringIO(text), _head(io.StringIO(text)), "utf-8", separator)
 
 
 def _head(stream: Iterable[str], lines: int = 200) -> list[str]:
@@ -150,10 +158,10 @@ def _encoding(first: bytes) -> str:
     return "cp1252"  # degree signs and umlauts of Windows
 
 
-def _read(source: Any, lines: Sequence[str], encoding: str) -> Table:
+def _read(source: Any, lines: Sequence[str], encoding: str, separator: str | None = None) -> Table:
     import pandas as pd  # heavy; only files need it
 
-    layout = _layout([line.rstrip("\r\n") for line in lines])
+    layout = _layout([line.rstrip("\r\n") for line in lines], separator)
     with warnings.catch_warnings():
         warnings.simplefilter(
             "ignore", pd.errors.DtypeWarning
@@ -167,8 +175,14 @@ def _read(source: Any, lines: Sequence[str], encoding: str) -> Table:
             decimal=layout.decimal,
             encoding=encoding,
             encoding_errors="replace",
-            na_values=["-"],
+            na_values=list(_NO_VALUE),
         )
+    notes = list(layout.notes)
+    filled = np.flatnonzero(frame.notna().any(axis=1).to_numpy())
+    empty = len(frame) - int(filled[-1]) - 1 if len(filled) else 0
+    if empty:
+        frame = frame.iloc[: len(frame) - empty].infer_objects()
+        notes.append(f"Left out at the end: {counted(empty, 'empty row')}.")
     names = list(layout.names)
     while len(names) < frame.shape[1] > 1 and bool(frame.iloc[:, -1].isna().all()):
         frame = frame.iloc[:, :-1]  # rows that end in a separator
@@ -181,13 +195,24 @@ def _read(source: Any, lines: Sequence[str], encoding: str) -> Table:
         raise ValueError(f"its header repeats a name: {names_text}; give each column its own name")
     units = {key: unit for key, unit in zip(keys, layout.units, strict=False) if unit and fits}
     columns: Columns = {}
-    notes = list(layout.notes)
     for i, key in enumerate(keys):
         columns[key] = _column(key, frame[i], layout.decimal, notes)
         if columns[key].dtype.kind == "O":
             columns[key], unit = without_unit(columns[key])
             units |= {key: unit} if unit else {}
     return Table(columns, {**_named_units(keys), **units}, tuple(notes))
+
+
+def first_word(cells: Iterable[Any]) -> str:
+    """The first text that is no number among cells; else the first text, or an empty one.
+
+    Args:
+        cells: of a column of text.
+    """
+    texts = [cell for cell in cells if isinstance(cell, str)]
+    numbers = (bool(_POINT.match(text.strip()) or _COMMA.match(text.strip())) for text in texts)
+    words = (text for text, is_number in zip(texts, numbers, strict=True) if not is_number)
+    return next(words, texts[0] if texts else "")
 
 
 def _column(key: str, values: Any, decimal: str, notes: list[str]) -> np.ndarray:
@@ -212,9 +237,25 @@ def _with_decimal_point(cell: Any) -> Any:
 
 def _dates(key: str, values: Any, first: str, notes: list[str]) -> np.ndarray:
     """Instants as datetime64; day before month where points separate them or nothing else fits."""
+    texts = values.astype("string").str.replace(r"(\d),(\d)", r"\1.\2", regex=True).str.strip()
+    candidates = _date_orders(texts, first)
+    if not candidates:
+        texts = _without_words(key, texts, _DATE, notes)
+        candidates = _date_orders(texts, first)
+    if candidates:  # the order with fewest reversals and the shortest span
+        _, _, day_first, stamps = min(candidates, key=lambda candidate: candidate[:3])
+        year_first = bool(re.match(r"\d{4}", first))
+        order = "year, month, day" if year_first else "day, month" if day_first else "month, day"
+        notes.append(f"`{key}` holds dates, read in the order {order}.")
+        return stamps.dt.tz_localize(None).to_numpy().astype("datetime64[ns]")
+    notes.append(f"`{key}` begins with a date, but holds something else further down.")
+    return values.astype(object).to_numpy()
+
+
+def _date_orders(texts: Any, first: str) -> list[tuple[int, Any, bool, Any]]:
+    """Reversals of time, span and stamps with each order of day and month that fits all texts."""
     import pandas as pd
 
-    texts = values.astype("string").str.replace(r"(\d),(\d)", r"\1.\2", regex=True).str.strip()
     year_first = bool(re.match(r"\d{4}", first))
     candidates = []
     for day_first in [False] if year_first else [True] if "." in first[:6] else [False, True]:
@@ -228,50 +269,67 @@ def _dates(key: str, values: Any, first: str, notes: list[str]) -> np.ndarray:
             reversals = int((stamps.diff().dt.total_seconds() < 0).sum())
             candidates.append((reversals, stamps.max() - stamps.min(), day_first, stamps))
             break
-    if candidates:  # the order with fewest reversals and the shortest span
-        _, _, day_first, stamps = min(candidates, key=lambda candidate: candidate[:3])
-        order = "year, month, day" if year_first else "day, month" if day_first else "month, day"
-        notes.append(f"`{key}` holds dates, read in the order {order}.")
-        return stamps.dt.tz_localize(None).to_numpy().astype("datetime64[ns]")
-    notes.append(f"`{key}` begins with a date, but holds something else further down.")
-    return values.astype(object).to_numpy()
+    return candidates
+
+
+def _without_words(key: str, texts: Any, form: re.Pattern[str], notes: list[str]) -> Any:
+    """The texts of a column of stamps, missing where they lack a form that most of them have."""
+    odd = (texts.notna() & ~texts.str.match(form.pattern)).to_numpy(bool)
+    rows = np.flatnonzero(odd)
+    if not 0 < 2 * len(rows) < len(texts):
+        return texts
+    what = f"{texts.iloc[rows[0]]!r} in row {rows[0]}, counted from 0"
+    more = f", and {len(rows) - 1} more such" if len(rows) > 1 else ""
+    notes.append(f"`{key}` has no stamp where it holds {what}{more}.")
+    return texts.mask(odd)
 
 
 def _times_of_day(key: str, values: Any, notes: list[str]) -> np.ndarray:
     """Times of day as timedelta64, going on over midnight."""
-    import pandas as pd
-
     texts = values.astype("string").str.replace(",", ".").str.strip()
-    short = texts.str.count(":") == 1
-    try:
-        if texts.str.contains("m", case=False).any():
-            clock = pd.to_datetime("2000-01-01 " + texts, format="mixed")
-            elapsed = (clock - pd.Timestamp("2000-01-01")).to_numpy()
-        else:
-            elapsed = pd.to_timedelta(texts.where(~short, texts + ":00")).to_numpy()
-    except (ValueError, TypeError):
+    elapsed = _elapsed(texts)
+    if elapsed is None:
+        elapsed = _elapsed(_without_words(key, texts, _TIME_OF_DAY, notes))
+    if elapsed is None:
         notes.append(f"`{key}` begins with a time of day, but holds something else further down.")
         return values.astype(object).to_numpy()
     elapsed = elapsed.astype("timedelta64[ns]")
     half_day, day = np.timedelta64(12, "h"), np.timedelta64(1, "D")
-    nights = np.concatenate([[0], np.cumsum(np.diff(elapsed) < -half_day)])
+    (known,) = np.nonzero(~np.isnat(elapsed))
+    nights = np.cumsum(np.diff(elapsed[known], prepend=elapsed[known[:1]]) < -half_day)
     midnights = f", over {counted(nights[-1], 'midnight')}" if nights[-1] else ""
     notes.append(f"`{key}` holds times of day, read as elapsed time{midnights}.")
-    return elapsed + nights * day
+    elapsed[known] += nights * day
+    return elapsed
+
+
+def _elapsed(texts: Any) -> np.ndarray | None:
+    """Times since midnight; None where a text is no time of day."""
+    import pandas as pd
+
+    short = texts.str.count(":") == 1
+    try:
+        if texts.str.contains("m", case=False).any():
+            clock = pd.to_datetime("2000-01-01 " + texts, format="mixed")
+            return (clock - pd.Timestamp("2000-01-01")).to_numpy()
+        return pd.to_timedelta(texts.where(~short, texts + ":00")).to_numpy()
+    except (ValueError, TypeError):
+        return None
 
 
 # -- layout -------------------------------------------------------------------------------
 
 
-def _layout(lines: Sequence[str]) -> _Layout:
-    """Separator, decimal mark, first row of data, names and units from the first lines."""
+def _layout(lines: Sequence[str], separator: str | None = None) -> _Layout:
+    """Separator if it is not known, decimal mark, first row of data, names and units."""
     filled = [(i, line) for i, line in enumerate(lines) if line.strip()]
     remarks = [(i, line) for i, line in filled if line.lstrip()[0] in "%#"]
     body = [(i, line) for i, line in filled if line.lstrip()[0] not in "%#"]
     if not body:
         raise ValueError("it holds no data")
     sample = [line for _, line in body[len(body) // 2 :]]
-    separator = max(_SEPARATORS, key=lambda mark: _score(sample, mark))
+    if separator is None:
+        separator = max(_SEPARATORS, key=lambda mark: _score(sample, mark))
     rows = [(i, _cells(line, separator)) for i, line in body]
     width, value_columns = _value_columns([cells for _, cells in rows[len(rows) // 2 :]])
     start = next(
@@ -280,6 +338,8 @@ def _layout(lines: Sequence[str]) -> _Layout:
     if start is None and len(rows) < 2:
         raise ValueError("it holds no data: one line of text only")
     start = 1 if start is None else start
+    while start > 0 and _has_data(rows[start - 1][1], rows[start][1], width, value_columns):
+        start -= 1
     notes = []
     decimal = "."
     data = [cells for _, cells in rows[start:]]
@@ -371,12 +431,37 @@ def _is_data_row(cells: list[str], width: int, value_columns: list[bool]) -> boo
     )
 
 
+def _has_data(cells: list[str], below: list[str], width: int, value_columns: list[bool]) -> bool:
+    """Whether a row above a row of data is one too, with words in some of its cells.
+
+    No header and no units have a date or a time of day in the first column of values where the
+    row below has one, or a number that is smaller than that below, and numbers in at least half
+    of these columns.
+    """
+    columns = [j for j in range(width) if value_columns[j]]
+    if len(cells) != width or len(below) != width or not columns:
+        return False
+    first, next_first = cells[columns[0]], below[columns[0]]
+    if _is_date(first) and _is_date(next_first):
+        return True
+    values = sum(_is_value(cells[j]) and cells[j].lower() not in _EMPTY for j in columns)
+    return 2 * values >= len(columns) and _as_number(first) < _as_number(next_first)
+
+
+def _as_number(cell: str) -> float:
+    """The number in a cell, with either decimal mark; NaN where there is none."""
+    is_number = _POINT.match(cell) or _COMMA.match(cell)
+    return float(cell.replace(",", ".").upper().replace("D", "E")) if is_number else float("nan")
+
+
+def _is_date(cell: str) -> bool:
+    return bool(_DATE.match(cell) or _TIME_OF_DAY.match(cell))
+
+
 def _is_value(cell: str) -> bool:
     text = cell.strip()
     return (
-        text.lower() in _EMPTY
-        or bool(_POINT.match(text) or _COMMA.match(text))
-        or bool(_DATE.match(text) or _TIME_OF_DAY.match(text))
+        text.lower() in _EMPTY or bool(_POINT.match(text) or _COMMA.match(text)) or _is_date(text)
     )
 
 

@@ -1,4 +1,4 @@
-"""Excel files: the first sheet that is not empty, read as a text table."""
+"""Excel files: one sheet, read as a text table; by default the first that is not empty."""
 
 from dataclasses import replace
 from pathlib import Path
@@ -11,15 +11,16 @@ from eoi_jax.data.readers.limits import Allowance
 from eoi_jax.data.readers.table import Table
 
 
-def read_excel(path: Path, allowance: Allowance) -> Table:
+def read_excel(path: Path, allowance: Allowance, sheet: str | None = None) -> Table:
     """The table of a sheet; names and units are detected as in a text table.
 
     Args:
         path: of the file.
         allowance: bytes that the file may unpack to.
+        sheet: its name; None: the first that is not empty.
 
     Raises:
-        ValueError: the file is damaged, or unpacks to more than is allowed.
+        ValueError: the file is damaged, unpacks to more than is allowed, or lacks the sheet.
     """
     import pandas as pd
 
@@ -31,13 +32,21 @@ def read_excel(path: Path, allowance: Allowance) -> Table:
         raise ValueError(
             "reading it needs openpyxl: pip install 'eoi_jax[excel]', or export it as .csv"
         ) from failure
-    filled = {name: sheet for name, sheet in sheets.items() if not sheet.empty}
+    filled = [name for name, cells in sheets.items() if not cells.empty]
+    if sheet is not None and sheet not in filled:
+        listed = ", ".join(f"`{name}`" for name in filled) or "none"
+        raise ValueError(f"it has no sheet `{sheet}` that holds anything; those that do: {listed}")
     if not filled:
         return Table({})
-    name, first = next(iter(filled.items()))
-    table = read_lines(first.to_csv(sep=";", header=False, index=False))
-    choice = f", the first of {len(filled)} that hold anything" if len(filled) > 1 else ""
-    return replace(table, notes=(f"Read from the sheet `{name}`{choice}.", *table.notes))
+    name = filled[0] if sheet is None else sheet
+    names = (name, *(key for key in filled if key != name))
+    choice = Table({}, sheets=names).sheet_text
+    try:
+        table = read_lines(sheets[name].to_csv(sep=";", header=False, index=False), ";")
+    except ValueError as failure:
+        raise ValueError(f"{failure}. {choice}".strip()) from failure
+    note = choice or f"Read from the sheet `{name}`."
+    return replace(table, sheets=names, notes=(note, *table.notes))
 
 
 def _check_extent(path: Path, allowance: Allowance, cell_size: int = 64) -> None:

@@ -8,6 +8,7 @@ import difflib
 import re
 import warnings
 from collections.abc import Callable, Mapping, Sequence
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -22,9 +23,16 @@ from eoi_jax.data.readers.hdf5 import read_hdf5
 from eoi_jax.data.readers.limits import MAX_GIGABYTES, Allowance
 from eoi_jax.data.readers.matlab import read_mat
 from eoi_jax.data.readers.table import Columns, Table, add_columns
+from eoi_jax.data.readers.words import is_grouped
 from eoi_jax.data.record import Record
 from eoi_jax.data.resampling import Real
-from eoi_jax.data.time_axis import date_hints, daylight_saving, declared_unit, epoch_unit
+from eoi_jax.data.time_axis import (
+    date_hints,
+    daylight_saving,
+    declared_unit,
+    epoch_unit,
+    seconds_from_first,
+)
 from eoi_jax.data.unwrapping import checked_periods, unwrapped_channels
 
 
@@ -44,6 +52,7 @@ def read_record(
     max_gigabytes: Real = MAX_GIGABYTES,
     unwrap: Mapping[str, Real] | Mapping[int, Real] | None = None,
     mask_faults: bool = True,
+    sheet: str | None = None,
 ) -> Record:
     """A record from named columns of a file.
 
@@ -79,6 +88,7 @@ def read_record(
             range, in the unit after `scale`: ``{"encoder": 4096}``. See `Record.unwrapped`.
         mask_faults: whether samples that leave the course of an output alone are masked, as in
             `Record`.
+        sheet: of an Excel file; None: the first that is not empty.
 
     Returns:
         The record, with `notes` on the changes made to the data.
@@ -91,7 +101,7 @@ def read_record(
             unpacks to more than `max_gigabytes`; and the errors of `Record`.
     """
     path = Path(path)
-    table = read_table(path, max_gigabytes)
+    table = read_table(path, max_gigabytes, sheet)
     columns, roles = table.columns, (time, sample_period, inputs, outputs)
     hold_notes: list[str] = []
     if table.outputs and all(option in (None, ()) for option in roles):
@@ -108,6 +118,8 @@ def read_record(
     selected |= {key: selected[key] * factor for key, factor in factors.items()}
     count = len(selected[y_columns[0]])
     rows = _rows(slice, count)
+    if clock is not None:
+        _check_stamps(path, clock, selected[clock], rows)
     new_names = _options_by_column("renames", renames, selected)
     unit_names = _options_by_column("units", units, selected)
     labels = {key: new_names.get(key, key) for key in selected}
@@ -251,17 +263,14 @@ def _column(path: Path, table: Table, field: str, key: str) -> np.ndarray:
         field,
         f"must be a column of {path} (present: {_listed(columns)})",
         f"`{key}`",
-        hint.strip(),
+        f"{hint} {table.sheet_text}".strip(),
     )
     raise AssertionError
 
 
-_THOUSANDS = re.compile(r"\s*[+-]?\d{1,3}(,\d{3})+(\.\d*)?\s*$")
-
-
 def _numeric(path: Path, key: str, values: np.ndarray) -> np.ndarray:
     if values.dtype.kind in "Mm":  # seconds from the first stamp
-        return (values - values[0]) / np.timedelta64(1, "s")
+        return seconds_from_first(values)
     if values.dtype.kind in "biuf":
         return values.astype(np.float64)
     advice = "Save its real and imaginary parts, or its size and phase, as columns of their own."
@@ -271,17 +280,31 @@ def _numeric(path: Path, key: str, values: np.ndarray) -> np.ndarray:
         try:
             float("nan" if value is None else value)
         except (TypeError, ValueError):
-            is_text = _READERS[_checked_suffix(path)] is read_text
-            where = f"line {line_of(path, row)}" if is_text else f"row {row}, counted from 0"
             advice = (
                 "Where it stands for no value, or for a line that is no sample, empty the cell "
             )
             advice += "or leave the line out."
-            if _THOUSANDS.match(str(value)):
+            if is_grouped(str(value)):
                 advice = "Write numbers without thousands separators."
             rule = f"must be a numeric column of {path}"
-            check(False, key, rule, f"{value!r} in {where}", advice)
+            check(False, key, rule, f"{value!r} in {_place(path, row)}", advice)
     return np.asarray([np.nan if value is None else value for value in values], dtype=np.float64)
+
+
+def _place(path: Path, row: int) -> str:
+    """Where a row of a table stands in a file."""
+    is_text = _READERS[_checked_suffix(path)] is read_text
+    return f"line {line_of(path, row)}" if is_text else f"row {row}, counted from 0"
+
+
+def _check_stamps(path: Path, clock: str, stamps: np.ndarray, rows: slice) -> None:
+    """All rows that are read must have a stamp."""
+    missing = rows.start + np.flatnonzero(~np.isfinite(stamps[rows]))
+    if len(missing):
+        more = f", and in {len(missing) - 1} more" if len(missing) > 1 else ""
+        got = f"none in {_place(path, int(missing[0]))}{more}"
+        advice = "Take lines that are no sample out, or leave them out by `slice`."
+        check(False, f"time[{clock}]", f"must have a stamp in all rows of {path}", got, advice)
 
 
 def _check_clock(time: str | int | None, sample_period: Real | None) -> None:
@@ -361,28 +384,34 @@ def _checked_suffix(path: Path) -> str:
     return suffix
 
 
-def read_table(path: str | Path, max_gigabytes: Real = MAX_GIGABYTES) -> Table:
+def read_table(
+    path: str | Path, max_gigabytes: Real = MAX_GIGABYTES, sheet: str | None = None
+) -> Table:
     """All columns of a file.
 
     Args:
         path: a file of a kind that `read_record` reads.
         max_gigabytes: largest unpacked size of a compressed file [1e9 bytes]; infinite for no
             limit.
+        sheet: of an Excel file; None: the first that is not empty.
 
     Returns:
         The columns; unprintable characters in their names are replaced by escape codes.
 
     Raises:
         ValueError: a file that is missing, of an unknown kind or of another kind than its name
-            says, or that unpacks to more than `max_gigabytes`.
+            says, or that unpacks to more than `max_gigabytes`; a sheet that it does not have.
     """
     path = Path(path)
     suffix = _checked_suffix(path)
+    rule = "must be left out for a file without sheets"
+    check(sheet is None or suffix == ".xlsx", "sheet", rule, f"`{sheet}` for {path}")
     allowance = Allowance(max_gigabytes)
     try:
         with warnings.catch_warnings():  # of the libraries, about damage that does not stop them
             warnings.simplefilter("ignore")
-            table = _READERS[suffix](path, allowance)
+            reader = partial(read_excel, sheet=sheet) if sheet is not None else _READERS[suffix]
+            table = reader(path, allowance)
     except Exception as failure:  # libraries raise errors of many classes for a damaged file
         rule = f"must be a readable {suffix} file"
         check(False, "path", rule, path, f"The reader says: {_cause(failure)}")
@@ -416,6 +445,7 @@ def _printable(table: Table) -> Table:
         None if table.time is None else readable.get(table.time),
         tuple(readable[key] for key in table.inputs),
         tuple(readable[key] for key in table.outputs),
+        tuple(map(printable, table.sheets)),
     )
 
 

@@ -22,6 +22,7 @@ class Table:
         inputs: the columns that the file declares as inputs.
         outputs: the columns that the file declares as outputs.
         holds: of all declared inputs, where the file gives them (`input_holds.HOLDS`).
+        sheets: of an Excel file, those that hold anything; the one that was read comes first.
     """
 
     columns: Columns
@@ -32,6 +33,15 @@ class Table:
     inputs: tuple[str, ...] = ()
     outputs: tuple[str, ...] = ()
     holds: Mapping[str, str] = field(default_factory=dict)
+    sheets: tuple[str, ...] = ()
+
+    @property
+    def sheet_text(self) -> str:
+        """Which sheet of a file with several was read, and how to choose another; else empty."""
+        if len(self.sheets) < 2:
+            return ""
+        listed = ", ".join(f"`{name}`" for name in self.sheets[1:20])
+        return f"Read from the sheet `{self.sheets[0]}`; `sheet` chooses another: {listed}."
 
 
 def add_columns(columns: Columns, notes: list[str], key: str, values: np.ndarray) -> None:

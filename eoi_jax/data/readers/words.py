@@ -75,6 +75,14 @@ def without_unit(cells: np.ndarray) -> tuple[np.ndarray, str]:
     return np.asarray([np.nan if cell is None else next(numbers) for cell in cells]), units.pop()
 
 
+_GROUPED = re.compile(r"[+-]?\d{1,3}([,.' ]\d{3})+([.,]\d*)?")
+
+
+def is_grouped(text: str) -> bool:
+    """Whether a cell is a number with thousands separators, as ``1,000.5`` or ``1.000,5``."""
+    return _GROUPED.fullmatch(text.strip()) is not None
+
+
 def _is_mark(word: str) -> bool:
     return word in _NO_VALUE or bool(_MARKS.match(word))
 

@@ -11,6 +11,7 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
+from eoi_jax.data.inspection import inspect
 from eoi_jax.data.readers.read_record import read_record, read_table
 
 N = 40
@@ -135,6 +136,27 @@ def test_columns_of_words_stay_and_others_are_read(tmp_path):
     assert len(read_table(path).columns["0"]) == N
 
 
+@pytest.mark.parametrize("words", ["Start", "1.000,0", "12:00 h"])
+@pytest.mark.parametrize("first", ["01.05.2024 00:{0:02d}", "{0}", "0,{0:02d}"])
+@pytest.mark.parametrize("count", [1, 12])
+def test_words_in_the_first_rows_do_not_move_the_header(tmp_path, words, first, count):
+    lines = [f"{first.format(k)};{k % 3};{words if k < count else f'{k},5'}" for k in range(30)]
+    path = tmp_path / "run.csv"
+    path.write_text("Logger 3000;;\nt;u;y\n;V;m\n" + "\n".join(lines))
+    table = read_table(path)
+    assert (*table.columns, len(table.columns["u"])) == ("t", "u", "y", 30)
+    assert table.units == {"u": "V", "y": "m"}
+    with pytest.raises(ValueError, match=rf"`y` must be a numeric .*, got '{words}' in line 4\."):
+        read_record(path, "t", "u", "y")
+
+
+@pytest.mark.parametrize("head", ["t,0,1", "0,1,y", "n,u,y\n1,1,m", "start,1.5,2.5"])
+def test_numbers_may_be_names_and_units(tmp_path, head):
+    path = tmp_path / "run.csv"
+    path.write_text(head + "\n" + rows())
+    check_columns(read_table(path), tuple(head.splitlines()[0].split(",")))
+
+
 def test_one_odd_cell_is_named_with_its_line_whatever_the_decimal_mark(tmp_path):
     path = tmp_path / "run.csv"
     path.write_text("t;u;y\n" + rows(";", comma=True).replace("0,05;", "0,05;error", 1))
@@ -197,11 +219,74 @@ def test_a_clock_that_is_set_back_by_less_than_half_a_day_is_over_no_midnight(
     assert ("midnight" in " ".join(table.notes)) == bool(nights)
 
 
+def dated(count, form="%d.%m.%Y %H:%M"):
+    stamps = pd.date_range("2024-05-01 23:50", periods=count, freq="min")
+    values = np.sin(0.2 * np.arange(count))
+    return [f"{stamp.strftime(form)};{y:.4f}" for stamp, y in zip(stamps, values, strict=True)]
+
+
+@pytest.mark.parametrize("form", ["%d.%m.%Y %H:%M", "%H:%M:%S"])
+@pytest.mark.parametrize("end", [";", ";\n;\n\n;"])
+def test_empty_rows_at_the_end_are_no_samples(tmp_path, form, end):
+    path = tmp_path / "run.csv"
+    path.write_text("\n".join(["when;y", *dated(N, form), end]))
+    table = read_table(path)
+    assert len(table.columns["y"]) == len(table.columns["when"]) == N
+    assert "Left out at the end: " in " ".join(table.notes)
+    assert len(read_record(path, "when", (), "y").time) == N
+    assert inspect(path).clock.column == "when"
+
+
+@pytest.mark.parametrize("form", ["%d.%m.%Y %H:%M", "%H:%M:%S"])
+@pytest.mark.parametrize(("cell", "row"), [("Mittelwert", N), ("", 12), ("", 0), ("#NV", 5)])
+def test_a_row_without_a_stamp_is_named_with_its_line_and_its_clock_stays(
+    tmp_path, form, cell, row
+):
+    path = tmp_path / "run.csv"
+    lines = dated(N, form)
+    lines.insert(row, f"{cell};0.5")
+    path.write_text("\n".join(["when;y", *lines]))
+    with pytest.raises(
+        ValueError,
+        match=rf"`time\[when\]` must have a stamp in all rows .*, got none in line {row + 2}\.",
+    ):
+        read_record(path, "when", (), "y")
+    if row in (0, N):
+        rows = (1, None) if row == 0 else (0, N)
+        assert len(read_record(path, "when", (), "y", slice=rows).time) == N
+    found = inspect(path)
+    assert (found.clock.column, found.outputs, found.samples) == ("when", ("y",), N)
+    assert found.clock.sample_period == 60.0
+    assert found.clock.backwards[0] == 0
+    assert f"`when` has no stamp in row {row}, counted from 0" in found.advice[0]
+    said = f"no stamp where it holds '{cell}' in row {row}" in " ".join(found.notes)
+    assert said == (cell == "Mittelwert")
+
+
+def test_a_time_in_numbers_may_lack_a_stamp_too(tmp_path):
+    path = tmp_path / "run.csv"
+    lines = rows().splitlines()
+    path.write_text("\n".join(["t,u,y", *lines[:9], ",1,0.5", *lines[9:]]))
+    with pytest.raises(
+        ValueError, match=r"`time\[t\]` must have a stamp .*, got none in line 11\."
+    ):
+        read_record(path, "t", "u", "y")
+    assert inspect(path).clock.column == "t"
+
+
+def test_dates_are_no_inputs_and_no_outputs(tmp_path):
+    path = tmp_path / "run.csv"
+    lines = [f"{0.1 * k:.1f};{k % 28 + 1:02d}.05.2024;{np.sin(0.2 * k):.4f}" for k in range(60)]
+    path.write_text("\n".join(["t;calibrated;y", *lines]))
+    found = inspect(path)
+    assert (found.clock.column, found.inputs, found.outputs) == ("t", (), ("y",))
+
+
 def test_what_begins_like_dates_and_is_not_is_said(tmp_path):
     path = tmp_path / "run.csv"
     cells = ["2024-05-01", "10:00"]
     for cell in cells:
-        lines = [cell if k < 30 else f"unknown {k}" for k in range(N)]
+        lines = [cell if k < 15 else f"unknown {k}" for k in range(N)]
         path.write_text("when,y\n" + "\n".join(f"{a},{b}" for a, b in zip(lines, Y, strict=True)))
         assert "something else further down" in " ".join(read_table(path).notes)
         with pytest.raises(ValueError, match="`when` must be a numeric column"):
@@ -272,7 +357,35 @@ def test_a_sheet_with_titles_units_and_dates_is_read(tmp_path):
     record = read_record(path, "when", "u", "y")
     np.testing.assert_allclose(record.time, T, atol=2e-6)
     np.testing.assert_allclose(record.outputs[:, 0], Y, atol=1e-12)
-    assert "sheet `Log`, the first of 2" in " ".join(read_table(path).notes)
+    note = "Read from the sheet `Log`; `sheet` chooses another: `Remarks`."
+    assert note in read_table(path).notes
+
+
+def test_the_sheet_of_an_excel_file_can_be_chosen(tmp_path):
+    pytest.importorskip("openpyxl", reason="openpyxl is not installed")
+    path = tmp_path / "run.xlsx"
+    with pd.ExcelWriter(path) as book:
+        titles = pd.DataFrame(["A protocol of ours", "by two people"])
+        titles.to_excel(book, sheet_name="Info", index=False, header=False)
+        for number in (1, 2):
+            frame = pd.DataFrame({"t": T, "u": U, "y": number * Y})
+            frame.to_excel(book, sheet_name=f"Run {number}", index=False)
+    others = r"Read from the sheet `Info`; `sheet` chooses another: `Run 1`, `Run 2`\."
+    with pytest.raises(ValueError, match=f"It holds A protocol of ours. {others}"):
+        inspect(path)
+    with pytest.raises(ValueError, match=f"`time` must be a column of .*{others}"):
+        read_record(path, "t", "u", "y")
+    with pytest.raises(
+        ValueError, match="no sheet `Run 3` that holds anything; those that do: `Info`, `Run 1`, `R"
+    ):
+        read_record(path, "t", "u", "y", sheet="Run 3")
+    for number in (1, 2):
+        outputs = read_record(path, "t", "u", "y", sheet=f"Run {number}").outputs
+        np.testing.assert_allclose(outputs[:, 0], number * Y, atol=1e-12)
+        assert inspect(path, sheet=f"Run {number}").outputs == ("y",)
+    (tmp_path / "run.csv").write_text("t,u,y\n" + rows())
+    with pytest.raises(ValueError, match="`sheet` must be left out for a file without sheets"):
+        read_record(tmp_path / "run.csv", "t", "u", "y", sheet="Run 1")
 
 
 @settings(

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from eoi_jax._checks import RecordWarning
+from eoi_jax.data.inspection import inspect
 from eoi_jax.data.readers.read_record import read_record, read_table
 
 N = 40
@@ -40,6 +41,33 @@ def test_marks_of_no_value_are_not_measured_and_said(tmp_path, mark):
     np.testing.assert_array_equal(np.flatnonzero(~record.valid), [7, 20])
 
 
+@pytest.mark.parametrize(
+    "word",
+    ["#DIV/0!", "#VALUE!", "#WERT!", "#NV", "#REF!", "#NUM!", "#BEZUG!", "n.a.", "k.A.", "#N/A"],
+)
+@pytest.mark.parametrize("rows", [(0, 1), (7, 20)])
+@pytest.mark.parametrize("separator", [",", ";"])
+def test_the_words_of_a_spreadsheet_are_no_values(tmp_path, word, rows, separator):
+    cells = [word if k in rows else f"{0.5 * k:.1f}" for k in range(N)]
+    path = written(tmp_path / "run.csv", cells)
+    if separator == ";":
+        path.write_text(path.read_text().replace(",", ";").replace(".", ",").replace(
+            word.replace(".", ","), word))  # fmt: skip
+    table = read_table(path)
+    assert list(table.columns) == ["t", "u", "y"]
+    want = [np.nan if k in rows else 0.5 * k for k in range(N)]
+    np.testing.assert_array_equal(table.columns["u"], want)
+    found = inspect(path)
+    (channel,) = (channel for channel in found.channels if channel.name == "u")
+    assert channel.missing == 2
+    assert "Empty or not finite: `u` 2; such samples are masked." in found.advice
+
+
+def test_an_inspection_names_the_word_that_makes_a_column_text(tmp_path):
+    path = written(tmp_path / "run.csv", ["torn" if k == 9 else f"{k}" for k in range(N)])
+    assert "`u` is left out: text such as 'torn'." in inspect(path).advice
+
+
 def test_numbers_with_their_unit_in_every_cell_are_numbers(tmp_path):
     path = written(tmp_path / "run.csv", [f"{0.5 * k} °C" if k != 5 else "" for k in range(N)])
     table = read_table(path)
@@ -58,6 +86,8 @@ def test_cells_with_different_units_are_refused(tmp_path):
     ("cell", "advice"),
     [
         ('"1,072.51"', "Write numbers without thousands separators"),
+        ('"1.072,51"', "Write numbers without thousands separators"),
+        ("1'072.51", "Write numbers without thousands separators"),
         ("Average", "a line that is no sample, empty the cell or leave the line out"),
     ],
 )
