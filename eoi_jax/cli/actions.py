@@ -487,7 +487,7 @@ def _discover(job: run_folder.Job, progress: ProgressCallback | None) -> Discove
         job.model,
         job.records,
         validation=job.held_out or None,
-        effects=build.effects(job.settings),
+        effects=build.effects(job.settings, job.model, job.records),
         lowpass=build.lowpass(job.settings),
         alpha=table.alpha,
         most=table.most,

@@ -125,7 +125,7 @@ class DiscoverTable(msgspec.Struct, frozen=True):
     is tested, and a note of the answer says so where they are set.
 
     Attributes:
-        effects: canonical names; default: all that fit the plant.
+        effects: names of effects of the library; default: all that fit the plant.
         alpha: probability of a false alarm, over all candidates together.
         most: largest number of effects to add.
         window: length of the re-initialised free runs [s]; default: chosen from the records.
