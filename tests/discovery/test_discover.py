@@ -241,6 +241,7 @@ def test_effect_outside_those_that_are_asked_for_is_unexplained():
     answer = found("outside")
     assert answer.effects == ()
     assert answer.status.code == "unexplained"
+    assert "none of the tested effects" in answer.status.message
     assert answer.plant.names == MASS.names
 
 
