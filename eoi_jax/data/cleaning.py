@@ -158,10 +158,15 @@ def channel_names(
         labels = [getattr(values, "name", None)] if labels is None else list(labels)
         if len(labels) == count and all(isinstance(label, str) for label in labels):
             return tuple(str(label) for label in labels)
-        return (letter,) if count == 1 else tuple(f"{letter}{i + 1}" for i in range(count))
+        return numbered_names(letter, count)
     names = (declared,) if isinstance(declared, str) else tuple(declared)
     check(len(names) == count, field, f"must name {counted(count, 'channel')}", names)
     return names
+
+
+def numbered_names(letter: str, count: int) -> tuple[str, ...]:
+    """Names of channels that have none: u, or u1, u2, …."""
+    return (letter,) if count == 1 else tuple(f"{letter}{i + 1}" for i in range(count))
 
 
 def check_labels(u_names: tuple[str, ...], y_names: tuple[str, ...], units: dict[str, str]) -> None:

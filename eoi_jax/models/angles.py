@@ -7,6 +7,7 @@ from eoi_jax._checks import check
 from eoi_jax.compiler.graph import Node, Untranslatable, topological_order
 from eoi_jax.models.equations.from_plant import SymbolicPlant
 from eoi_jax.models.plant import Plant
+from eoi_jax.models.units import same_unit
 
 
 @dataclass(frozen=True)
@@ -14,13 +15,11 @@ class AngleSettings:
     """What counts as an angle in degrees that was not converted.
 
     Attributes:
-        units: of degrees.
         functions: that take radians.
         smallest: factor of the angle from which on it is no conversion, which is 0.0175; a half
             of the angle is one.
     """
 
-    units: tuple[str, ...] = ("deg", "degree", "degrees", "°")
     functions: tuple[str, ...] = ("sin", "cos", "tan")
     smallest: float = 0.1
 
@@ -38,7 +37,7 @@ def check_angles(plant: Plant, units: Mapping[str, str]) -> None:
     Raises:
         ValueError: an angle in degrees enters such a function as it is.
     """
-    angles = {name for name, unit in units.items() if unit.strip() in _SETTINGS.units}
+    angles = {name for name, unit in units.items() if same_unit(unit, "deg")}
     if not angles:
         return
     symbolic = SymbolicPlant(plant)

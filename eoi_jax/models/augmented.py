@@ -375,14 +375,8 @@ class _Internal:
 
     @property
     def states(self) -> tuple[str, ...] | None:
-        """Names of the internal states; None if the declared plant does not name its states."""
-        declared = getattr(self.base, "states", None)
-        count = self.nz + sum(placement.effect.states for placement in self.placed)
-        return (
-            None
-            if declared is None
-            else declared + tuple(f"z{i + 1}" for i in range(self.nz, count))
-        )
+        """Names of the first internal states; None if the declared plant does not name its own."""
+        return getattr(self.base, "states", None)
 
     def __call__(self, t: Any, x: State, u: Any, p: Any) -> Any:
         dynamics = self.dynamics

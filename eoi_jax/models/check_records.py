@@ -8,17 +8,20 @@ import numpy as np
 
 from eoi_jax._checks import check, check_kind, counted
 from eoi_jax.compiler.jax_setup import check_process
+from eoi_jax.data.cleaning import numbered_names
 from eoi_jax.data.record import Record
 from eoi_jax.models.angles import check_angles
 from eoi_jax.models.plant import Plant
+from eoi_jax.models.units import same_unit
 
 
 def check_records(plant: Plant, records: Record | Sequence[Record]) -> tuple[Record, ...]:
     """A record or several as a tuple, checked against the plant's channels and units.
 
     Raises:
-        ValueError: a forked process, no plant, no record, a wrong number of channels, channels in
-            a different order, different units, an angle in degrees where the model takes radians.
+        ValueError: a forked process, no plant, no record, inputs and outputs that have changed
+            places, a wrong number of channels, channels in a different order, different units, an
+            angle in degrees where the model takes radians.
     """
     check_process()
     check_kind("plant", plant, Plant, "a Plant")
@@ -37,6 +40,7 @@ def check_records(plant: Plant, records: Record | Sequence[Record]) -> tuple[Rec
     for element in data_set:
         check_kind("records", element, Record, "a Record or several")
     for record in data_set:
+        _check_places(plant, record)
         for kind, names, labels, signals in (
             ("inputs", plant.inputs, record.input_names, record.inputs),
             ("outputs", plant.outputs, record.output_names, record.outputs),
@@ -59,7 +63,7 @@ def check_records(plant: Plant, records: Record | Sequence[Record]) -> tuple[Rec
             for name, label in zip(names, labels, strict=True):
                 unit, expected = record.units.get(label), plant.units.get(name)
                 check(
-                    unit is None or expected is None or unit == expected,
+                    unit is None or expected is None or same_unit(unit, expected),
                     f"records[{record.name}].{kind}[{label}]",
                     f"must be in the plant's unit for `{name}`, {expected!r}",
                     repr(unit),
@@ -74,6 +78,24 @@ def check_records(plant: Plant, records: Record | Sequence[Record]) -> tuple[Rec
     }
     check_angles(plant, {**units, **plant.units})
     return data_set
+
+
+def _check_places(plant: Plant, record: Record) -> None:
+    """Check that no output is among the inputs while an input is among the outputs, by name."""
+    u, y = record.input_names, record.output_names
+    if (u, y) == (numbered_names("u", len(u)), numbered_names("y", len(y))):
+        return  # these are no names of anything
+    foreign = [name for name in u if name in plant.outputs and name not in plant.inputs]
+    mistaken = [name for name in y if name in plant.inputs and name not in plant.outputs]
+    check(
+        not (foreign and mistaken),
+        f"records[{record.name}].inputs",
+        f"must hold the plant's inputs ({', '.join(plant.inputs)}), and `outputs` its outputs "
+        f"({', '.join(plant.outputs)})",
+        f"the output {', '.join(foreign)} as an input and the input {', '.join(mistaken)} as an "
+        "output",
+        "Give the inputs first: `Record(time, inputs, outputs)`.",
+    )
 
 
 def _extra_inputs(names: Sequence[str], labels: Sequence[str]) -> str:

@@ -7,7 +7,6 @@ output is an algebraic function of the states: y = f(t, …, z, u; θ).
 """
 
 import functools
-import re
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -31,6 +30,7 @@ from eoi_jax.models.known_starts import StartItems, checked_starts, internal_sta
 from eoi_jax.models.parameters import check_names, limits_of, parameter_type, replaced
 from eoi_jax.models.sampled_states import SampledStates
 from eoi_jax.models.start_weights import open_starts
+from eoi_jax.models.state_names import names_state
 from eoi_jax.models.traced_equations import evaluated
 from eoi_jax.models.traced_shapes import traced_shape
 from eoi_jax.models.velocities import velocity_rows
@@ -87,8 +87,8 @@ class Plant(eqx.Module):
             initial values may be parameters.
         bounds: ``{name: (lower, upper)}``; estimates stay within them.
         fixed: names of the parameters that keep their nominal values.
-        units: ``{name: unit}`` of parameters, inputs and outputs (of internal states: z, or z1,
-            z2, …), for tables and figures.
+        units: ``{name: unit}`` of parameters, inputs and outputs, for tables and figures (of
+            internal states: z, or z1, z2, …; internal_z, … if anything else is called z or z1).
         kinds: ``{output: kind}``: ``"position"``, ``"speed"``, ``"level"``, ``"temperature"``, …
             (`kinds.py`): which effects fit it. By default from unit, name and relative degree.
         name: name of the plant; default: the name of `dynamics`, or ``model`` if it has none.
@@ -468,11 +468,11 @@ class Plant(eqx.Module):
         return pushes & (np.sum(pushes, axis=0) > 1)
 
     def _check_units(self) -> None:
-        """Check that units belong to parameters, channels or internal states (named, or z, z1)."""
+        """Check that units belong to parameters, channels or internal states, named or numbered."""
         states = tuple(getattr(self.internal, "states", None) or ())
         names = (*self.names, *self.inputs, *self.outputs, *states)
         for key in self.units:
-            if self.internal is None or not re.fullmatch(r"z\d*", key):
+            if self.internal is None or not names_state(key, names):
                 check_choice("units", key, names)
 
     def _check_shapes(self) -> None:

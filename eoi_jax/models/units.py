@@ -1,4 +1,4 @@
-"""Units of derivatives and quotients, as text; what a text says in SI base units."""
+"""Units of derivatives and quotients, as text; what a text says in SI base units, and spellings."""
 
 import math
 import re
@@ -29,11 +29,11 @@ def quotient_unit(unit: str, divisor: str) -> str:
 
 @dataclass(frozen=True)
 class Dimension:
-    """A unit in SI base units; radians are 1.
+    """A unit in SI base units.
 
     Attributes:
         factor: of the unit, to base units.
-        powers: of the base units, without zeros.
+        powers: of the base units and of radians, without zeros.
     """
 
     factor: float = 1.0
@@ -55,10 +55,10 @@ class Dimension:
 
 _UNITS = {
     "1": Dimension(),
-    "rad": Dimension(),
-    "deg": Dimension(math.pi / 180.0),
-    "°": Dimension(math.pi / 180.0),
-    "rev": Dimension(2.0 * math.pi),
+    "rad": Dimension(1.0, {"rad": 1}),
+    **dict.fromkeys(("deg", "°", "degree", "degrees"), Dimension(math.pi / 180.0, {"rad": 1})),
+    "rev": Dimension(2.0 * math.pi, {"rad": 1}),
+    "rpm": Dimension(math.pi / 30.0, {"rad": 1, "s": -1}),
     "m": Dimension(1.0, {"m": 1}),
     "s": Dimension(1.0, {"s": 1}),
     "min": Dimension(60.0, {"s": 1}),
@@ -69,7 +69,7 @@ _UNITS = {
     "J": Dimension(1.0, {"kg": 1, "m": 2, "s": -2}),
     "W": Dimension(1.0, {"kg": 1, "m": 2, "s": -3}),
 }
-_PREFIXES = {"k": 1e3, "c": 1e-2, "m": 1e-3, "µ": 1e-6, "μ": 1e-6, "u": 1e-6}
+_PREFIXES = {"k": 1e3, "c": 1e-2, "m": 1e-3, "µ": 1e-6, "u": 1e-6}
 _COMPOUNDS = {"Nm": "N m", "Nms": "N m s", "Ns": "N s", "kgm": "kg m"}
 _SPELLINGS = {
     **dict.fromkeys("·⋅*", " "),
@@ -78,28 +78,63 @@ _SPELLINGS = {
     "⁴": "^4",
     "⁻¹": "^-1",
     "⁻²": "^-2",
+    "⁻³": "^-3",
     "**": "^",
+    "−": "-",
+    "μ": "µ",  # the Greek letter, and the sign of micro
+    "degC": "°C",
 }
-_TOKEN = re.compile(r"[A-Za-zµμ°]+(?:\^-?\d)?|\S")
+_TOKEN = re.compile(r"[A-Za-zµ°]+(?:\^-?\d)?|\S")
 
 
 def dimension(unit: str) -> Dimension | None:
-    """What a unit is in SI base units; None where it is not understood.
+    """What a unit is in SI base units, radians being 1; None where it is not understood.
 
     A quotient sign applies to the factor behind it: ``N m s/rad``, ``rad/s²/V``, ``rad/(s² V)``.
 
     Args:
         unit: as text; "" is not understood.
     """
+    product = _read(_spelled(unit))
+    if product is None:
+        return None
+    powers = {base: count for base, count in product.powers.items() if base != "rad"}
+    return Dimension(product.factor, powers)
+
+
+def same_unit(first: str, second: str) -> bool:
+    """Whether two texts are one unit: N m and Nm, m/s² and m s^-2, deg and °, J and N m.
+
+    A word that is not understood, such as bar, is a unit of its own. Radians are not 1 here: what
+    is in 1/s may count revolutions.
+
+    Args:
+        first: as text.
+        second: as text.
+    """
+    left_text, right_text = _spelled(first), _spelled(second)
+    left, right = _read(left_text, any_word=True), _read(right_text, any_word=True)
+    if left is None or right is None:
+        return left_text == right_text
+    return left.powers == right.powers and math.isclose(left.factor, right.factor)
+
+
+def _spelled(unit: str) -> str:
+    """A unit in one spelling of its signs, powers and spaces."""
     for spelling in sorted(_SPELLINGS, key=len, reverse=True):
         unit = unit.replace(spelling, _SPELLINGS[spelling])
+    return " ".join(re.sub(r"(?<=[A-Za-zµ°])-?\d", r"^\g<0>", unit).split())
+
+
+def _read(unit: str, any_word: bool = False) -> Dimension | None:
+    """The product that a unit is, in one spelling; None where it is not understood."""
     tokens = iter(_TOKEN.findall(unit))
     closed = unit.count("(") == unit.count(")")
-    product = _product(tokens) if unit.strip() and closed else None
+    product = _product(tokens, any_word) if unit and closed else None
     return None if next(tokens, None) else product
 
 
-def _product(tokens: Iterator[str]) -> Dimension | None:
+def _product(tokens: Iterator[str], any_word: bool) -> Dimension | None:
     """The product of factors, up to the end or a closing bracket."""
     product, power = Dimension(), 1
     for token in tokens:
@@ -108,21 +143,23 @@ def _product(tokens: Iterator[str]) -> Dimension | None:
         elif token == ")":
             break
         else:
-            factor = _product(tokens) if token == "(" else _factor(token)
+            factor = _product(tokens, any_word) if token == "(" else _factor(token, any_word)
             if factor is None:
                 return None
             product, power = product.times(factor, power), 1
     return product
 
 
-def _factor(token: str) -> Dimension | None:
+def _factor(token: str, any_word: bool) -> Dimension | None:
     """A unit, with a prefix or without, and its power; or several units that are run together."""
     name, _, power = token.partition("^")
     if name in _COMPOUNDS:
         first, last = _COMPOUNDS[name].rsplit(" ", 1)
-        ending = _factor(f"{last}^{power or 1}")
-        return None if ending is None else ending.times(dimension(first) or Dimension())
+        ending = _factor(f"{last}^{power or 1}", any_word)
+        return None if ending is None else ending.times(_read(first) or Dimension())
     unit = _UNITS.get(name)
     if unit is None and name[:1] in _PREFIXES and name[1:] in _UNITS:
         unit = Dimension(_PREFIXES[name[0]]).times(_UNITS[name[1:]])
+    if unit is None and any_word and (name.strip("°").isalpha() or name in ("%", "‰")):
+        unit = Dimension(1.0, {name: 1})
     return None if unit is None else Dimension().times(unit, int(power or 1))

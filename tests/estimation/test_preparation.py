@@ -220,6 +220,35 @@ def test_names_of_ones_own_are_accepted_in_any_order():
     assert check_records(plant, own) == (own,)
 
 
+def test_a_unit_may_be_spelled_in_another_way():
+    plant = Plant(
+        lambda t, x, u, p: p.a * u[0], {"a": 1.0}, 2, ("u",), ("y",), units={"u": "N m", "y": "µm"}
+    )
+    sway = SWAY(grid(20, H))
+    record = Record.from_period(
+        H, sway, sway, units={"u": "N·m", "y": "\N{GREEK SMALL LETTER MU}m"}
+    )
+    assert check_records(plant, record) == (record,)
+
+
+def test_inputs_and_outputs_must_not_have_changed_places():
+    plant = Plant(lambda t, x, u, p: p.a * u[0], {"a": 1.0}, 1, ("torque",), ("speed",))
+    sway = SWAY(grid(20, H))
+
+    def record(u, y):
+        return Record.from_period(H, sway, sway, input_names=u, output_names=y)
+
+    rule = r"must hold the plant's inputs \(torque\), and `outputs` its outputs \(speed\), got the "
+    found = "output speed as an input and the input torque as an output. Give the inputs first: "
+    with pytest.raises(ValueError, match=r"`records\[record\].inputs` " + rule + found):
+        check_records(plant, record("speed", "torque"))
+    # Names that say less are as good as none.
+    for names in (("torque", "speed"), ("u", "y"), ("speed", "wheel"), ("power", "torque")):
+        assert len(check_records(plant, record(*names))) == 1
+    backwards = Plant(lambda t, x, u, p: p.a * u[0], {"a": 1.0}, 1, ("y",), ("u",))
+    assert len(check_records(backwards, Record.from_period(H, sway, sway))) == 1
+
+
 @pytest.mark.parametrize(
     ("kind", "names", "message"),
     [

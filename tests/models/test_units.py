@@ -4,7 +4,7 @@ import math
 
 import pytest
 
-from eoi_jax.models.units import dimension
+from eoi_jax.models.units import dimension, same_unit
 
 TORQUE = {"kg": 1, "m": 2, "s": -2}
 
@@ -43,3 +43,49 @@ def test_factors_and_powers(unit, factor, powers):
 @pytest.mark.parametrize("unit", ["", " ", "px", "%", "lbf", "N m)", "2 N", "m²²"])
 def test_what_is_not_understood_is_none(unit):
     assert dimension(unit) is None
+
+
+@pytest.mark.parametrize(
+    "spellings",
+    [
+        ("N m", "Nm", "N·m", "N*m", "N  m", "m N", "kN mm", "J"),
+        ("m/s²", "m/s^2", "m/s2", "m s^-2", "m s⁻²", "m/s**2"),
+        ("deg", "°", "degrees"),
+        ("deg/s", "°/s"),
+        ("rad/s", "rad s⁻¹"),
+        ("rpm", "rev/min"),
+        ("\N{MICRO SIGN}m", "\N{GREEK SMALL LETTER MU}m", "um"),
+        ("\N{MICRO SIGN}Pa", "\N{GREEK SMALL LETTER MU}Pa"),
+        ("°C", "degC"),
+        ("m³/h", "m^3/h", "m3/h", "m³ h⁻¹"),
+        ("%", " %"),
+        ("10 bar", "10  bar"),
+        ("",),
+    ],
+    ids=lambda spellings: spellings[0],
+)
+def test_a_unit_is_the_same_in_every_spelling(spellings):
+    assert all(same_unit(one, other) for one in spellings for other in spellings)
+
+
+@pytest.mark.parametrize(
+    ("first", "second"),
+    [
+        ("N m", "nm"),
+        ("N m", "N m/rad"),
+        ("m", "mm"),
+        ("m/s", "m/s²"),
+        ("K", "°C"),
+        ("deg", "degC"),
+        ("rad", "deg"),
+        ("rad/s", "1/s"),  # which may count revolutions
+        ("rpm", "1/min"),
+        ("0.1 bar", "1.0 bar"),  # the same signs in another order
+        ("bar", "mbar"),
+        ("%", "1"),
+        ("m", ""),
+    ],
+)
+def test_units_that_differ_stay_different(first, second):
+    assert not same_unit(first, second)
+    assert not same_unit(second, first)

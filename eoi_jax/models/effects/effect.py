@@ -27,6 +27,7 @@ from jaxtyping import Float
 from eoi_jax._checks import check
 from eoi_jax.compiler.programs import jit
 from eoi_jax.models.plant import Plant
+from eoi_jax.models.state_names import numbered_states
 
 Grid = Float[np.ndarray, "grid shapes"]
 
@@ -511,13 +512,17 @@ class AbstractCascade(AbstractEffect):
         return z
 
 
-def internal_names(plant: Plant) -> tuple[str, ...]:
-    """Names of a plant's internal states: `internal.states` if defined, else z, or z1, z2, …."""
-    names = getattr(plant.internal, "states", None)
-    if isinstance(names, tuple):
-        return names
-    count = len(plant.initial_internal)
-    return ("z",) if count == 1 else tuple(f"z{i + 1}" for i in range(count))
+def internal_names(plant: Plant, added: int = 0) -> tuple[str, ...]:
+    """Names of a plant's internal states: `internal.states` as far as defined, else numbered.
+
+    Args:
+        plant: any.
+        added: number of states of effects behind its own.
+    """
+    named = getattr(plant.internal, "states", None) or ()
+    count = len(plant.initial_internal) - len(named) + added
+    taken = {*plant.names, *plant.inputs, *plant.outputs, *named}
+    return (*named, *numbered_states(taken, len(named), count))
 
 
 def mechanical(plant: Plant, output: int) -> bool:

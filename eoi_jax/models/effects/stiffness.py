@@ -17,10 +17,10 @@ from eoi_jax.models.effects.effect import (
     quantiles,
 )
 from eoi_jax.models.plant import Plant
+from eoi_jax.models.units import same_unit
 
 # At angles below this [rad] sin(y) is y - y³/6 to within one per cent: a spring.
 _SMALL_ANGLE = 0.8
-_DEGREES = ("deg", "degree", "degrees", "°")
 
 
 class LinearStiffness(AbstractTerm):
@@ -89,7 +89,7 @@ class AbstractGravity(AbstractTerm):
     degrees: bool = False
 
     def fits(self, plant: Plant, output: int) -> bool:
-        in_degrees = plant.units.get(plant.outputs[output]) in _DEGREES
+        in_degrees = same_unit(plant.units.get(plant.outputs[output], ""), "deg")
         return mechanical(plant, output) and in_degrees == self.degrees
 
     def grid(self, seen: Seen) -> Grid:

@@ -382,10 +382,8 @@ class _EffectFormulas:
     def __init__(self, plant: Plant, placed: Placed, first: int):
         """The symbols; `first` is the number of internal states before its own."""
         inner = internal_names(plant)
-        count = placed.effect.states
-        numbered = first > 0 or count > 1
         self.placed, self._plant = placed, plant
-        self.states = tuple(f"z{first + i + 1}" if numbered else "z" for i in range(count))
+        self.states = internal_names(plant, first + placed.effect.states - len(inner))[first:]
         self._inner = len(inner)
         slope = (f"{plant.outputs[placed.output]}'",) if placed.effect.follows_slope else ()
         self._symbolic = SymbolicPlant(plant, placed.names, (*inner, *self.states, *slope))

@@ -13,6 +13,7 @@ import eoi_jax as eoi
 from eoi_jax import effects
 from eoi_jax.models.augmented import augmented, place
 from eoi_jax.models.effects import INPUT_EFFECTS, AbstractActuator
+from eoi_jax.models.effects.effect import internal_names
 from eoi_jax.models.equations.display import equation_latex, equation_text
 from eoi_jax.models.placements import placements
 
@@ -310,3 +311,41 @@ def test_input_effects_have_a_line_of_their_own():
         if isinstance(effect, INPUT_EFFECTS):
             item, _ = found(rig(), place(rig(), effect, 0), "u")
             assert equation_text(rig(), [item]).splitlines()[1].startswith("with u → ")
+
+
+def test_no_internal_state_has_the_name_of_a_channel_or_a_parameter():
+    def inner(t, x, u, p):
+        return u - p.a * x.z
+
+    def driven(t, x, u, p):
+        return x.z[0] - p.a * x.y[0]
+
+    def plant(values, channels, units=None):
+        return eoi.Plant(
+            driven, values, 1, *channels, internal=inner, internal_initial=(0.0,), units=units
+        )
+
+    plain = plant({"a": 1.0}, (("u",), ("y",)))
+    assert equation_text(plain) == "y' = z - a·y\nz' = u - a·z"
+    for values, channels in (
+        ({"a": 1.0}, (("u",), ("z",))),
+        ({"a": 1.0}, (("z1",), ("y",))),
+        ({"a": 1.0, "z": 1.0}, (("u",), ("y",))),
+    ):
+        taken = plant(values, channels, {"internal_z": "V"})
+        drive, output = taken.inputs[0], taken.outputs[0]
+        lines = [f"{output}' = internal_z - a·{output}", f"internal_z' = {drive} - a·internal_z"]
+        assert equation_text(taken).splitlines() == lines
+        item, whole = found(taken, place(taken, effects.SensorLag(), 0), output)
+        assert internal_names(whole) == ("internal_z1", "internal_z2")
+        assert not re.search(r"(?<!_)\bz2", equation_text(taken, [item]))
+    with pytest.raises(ValueError, match=r"`units` must be one of a, u, z, got 'z1'"):
+        plant({"a": 1.0}, (("u",), ("z",)), {"z1": "V"})
+
+
+def test_states_of_effects_do_not_have_the_names_of_named_states():
+    text = eoi.plant_from_text(
+        {"y": "z2 - a*y", "z2": "u - z2"}, {"a": 1.0}, ["y"], ["u"], initial={"z2": 0.0}
+    )
+    _, whole = found(text, place(text, effects.SensorLag(), 0), "y")
+    assert internal_names(whole) == ("z2", "internal_z2")

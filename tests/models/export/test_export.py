@@ -97,6 +97,19 @@ def heated():
     return eoi.Plant(exchanger, values, 1, ("flow", "power"), ("temperature",), name="exchanger")
 
 
+def called_z(t, x, u, p):
+    return u - p.z2 * x.y[0] + x.z[0]
+
+
+def called_like_states():
+    """Channels and a parameter with the names that internal states have in other models."""
+    model = eoi.Plant(
+        called_z, {"z2": 0.3}, 1, ("z",), ("z1",),
+        internal=lambda t, x, u, p: u - p.z2 * x.z, internal_initial=(0.2,),
+    )  # fmt: skip
+    return with_effects(model, [effects.SensorLag(), effects.ConstantOffset()])
+
+
 def every_term(plant):
     """All effects that are terms, or change an input in an instant."""
     slow = (effects.ActuatorLag, effects.InputDelay)
@@ -147,6 +160,7 @@ MODELS = {
     "lagged": lambda: with_effects(
         eoi.plants.mass_spring_damper(), [effects.InputDelay(), effects.ActuatorLag()]
     ),
+    "called_like_states": called_like_states,
     "text": lambda: eoi.plant_from_text(
         {"x": "v", "v": "-k*x - w*sqrt(x) + z if t > 0.4 else w", "z": "-z + clip(x, -1, 1)"},
         {"k": 2.0, "start": 0.5}, ["x"], definitions={"w": "k*x*x"}, initial={"z": "2*start"},
