@@ -35,5 +35,5 @@ def _sentence(notes: dict[str, str]) -> str:
     sentence = f"{first}: {notes[first]}"
     if not names:
         return sentence
-    shown = " and ".join(names) if len(names) < 3 else counted(len(names), "other record")
-    return f"{sentence}; alike in {shown}"
+    records = " and ".join(names) if len(names) < 3 else counted(len(names), "other record")
+    return f"{sentence}; alike in {records}"

@@ -65,7 +65,9 @@ def read_record(
         name: of the record; default: the file's name.
         sample_period: time between samples [s].
         scale: ``{column: factor}``, e.g. ``{"tempo_ms": 1e-3}``.
-        units: ``{column: unit}`` after scaling, for tables and figures.
+        units: ``{column: unit}`` after scaling, for tables and figures, and to be those of the
+            model; of a column that is neither named here nor scaled, the unit in the file must not
+            be another one of the same quantity.
         hold: of the inputs, as in `Record`; where they differ, by column.
         burn_in: time at the start that is not scored [s], as in `Record`.
         slice: ``(start, stop)``, the range of samples that is read; stop may be None. Time stays as
@@ -127,7 +129,8 @@ def read_record(
         burn_in=burn_in,
         mask_faults=mask_faults,
     )
-    return record._changed(" ".join([*hints, *notes]))
+    open_labels = {key: labels[key] for key in labels if key not in {*factors, *unit_names, clock}}
+    return _with_file_units(record._changed(" ".join([*hints, *notes])), open_labels, table)
 
 
 # -- choosing columns ---------------------------------------------------------------------
@@ -153,6 +156,13 @@ def _declared(table: Table) -> tuple[dict[str, float], dict[str, str]]:
     factors = {table.time: seconds[1]} if table.time and seconds else {}
     channels = (*table.inputs, *table.outputs)
     return factors, {key: table.units[key] for key in channels if table.units.get(key)}
+
+
+def _with_file_units(record: Record, labels: Mapping[str, str], table: Table) -> Record:
+    """The record with the units in its file of these columns, whose names in it are `labels`."""
+    units = {label: table.units[key] for key, label in labels.items() if table.units.get(key)}
+    record._assign({"file_units": units or None})
+    return record
 
 
 def _options_by_column(
