@@ -28,7 +28,14 @@ Share = Annotated[float, msgspec.Meta(gt=0, lt=1)]
 Forgetting = Annotated[float, msgspec.Meta(gt=0, le=1)]
 Gain = Positive | tuple[Positive, ...]
 # The name becomes a folder in runs/: no path separators, no leading dot.
-FolderName = Annotated[str, msgspec.Meta(pattern=r"\A[A-Za-z0-9][A-Za-z0-9._-]*\Z")]
+FolderName = Annotated[
+    str,
+    msgspec.Meta(
+        pattern=r"\A[A-Za-z0-9][A-Za-z0-9._-]*\Z",
+        description="the name of a folder: letters, digits, `.`, `_` and `-`, no space, the first "
+        "a letter or a digit",
+    ),
+]
 
 
 class ParameterTable(msgspec.Struct, frozen=True):
