@@ -31,6 +31,7 @@ from eoi_jax.data.holds import made_alike
 from eoi_jax.data.inspection import inspect as inspect_file
 from eoi_jax.data.readers.limits import MAX_GIGABYTES
 from eoi_jax.data.record import Record
+from eoi_jax.data.record_notes import record_notes
 from eoi_jax.data.wrapped_outputs import wrapped_notes
 from eoi_jax.discovery.discover import discover as run_discovery
 from eoi_jax.discovery.result import Discovery
@@ -89,7 +90,8 @@ def identify(
     source, job = _prepare(config, "pendulum", data, output, progress, changes)
     with run_folder.quiet_records():
         result, validation = _identify(job, progress)
-    notes = [*_example_notes(config), *_hold_notes(job.settings), *_unseen_notes(job)]
+    notes = [*_example_notes(config), *_hold_notes(job.settings), *record_notes(job.held_out)]
+    notes += _unseen_notes(job)
     if job.loop is not None and validation is None:
         notes.append(_NOT_IN_LOOP.format("passes, and there is no free run on held-out records"))
     if result.status.ok and validation is not None:
@@ -490,7 +492,7 @@ def _discover(job: run_folder.Job, progress: ProgressCallback | None) -> Discove
         job.model,
         job.records,
         validation=job.held_out or None,
-        effects=build.effects(job.settings),
+        effects=build.effects(job.settings, job.model, job.records),
         lowpass=build.lowpass(job.settings),
         alpha=table.alpha,
         most=table.most,

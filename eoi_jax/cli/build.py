@@ -34,6 +34,7 @@ from eoi_jax.data.inspection import inspect
 from eoi_jax.data.readers.read_record import read_record, read_table
 from eoi_jax.data.record import Record
 from eoi_jax.data.time_axis import parts_between_restarts
+from eoi_jax.discovery.requested import named_effects
 from eoi_jax.estimation import observers
 from eoi_jax.estimation.lowpass import LowPass
 from eoi_jax.models import library as plants
@@ -237,16 +238,21 @@ def lowpass(config: Config) -> LowPass | None:
     return None if table is None else LowPass(table.cutoff, order=table.order)
 
 
-def effects(config: Config) -> tuple[AbstractEffect, ...] | None:
+def effects(
+    config: Config, model: Plant, fitted: Sequence[Record]
+) -> tuple[AbstractEffect, ...] | None:
     """The effects of the table [discover], in all their forms; None: all that fit the plant.
 
+    Args:
+        config: the tables.
+        model: the declared plant.
+        fitted: records to fit.
+
     Raises:
-        ValueError: an unknown name.
+        ValueError: an unknown name, or none that the plant can have.
     """
     names = config.discover.effects
-    if names is None:
-        return None
-    return tuple(effect for name in names for effect in _forms("discover.effects", name))
+    return None if names is None else named_effects(names, model, fitted, "discover.effects")
 
 
 def records(config: Config, model: Plant, folder: Path, data: Path | None = None) -> list[Record]:

@@ -28,7 +28,14 @@ Share = Annotated[float, msgspec.Meta(gt=0, lt=1)]
 Forgetting = Annotated[float, msgspec.Meta(gt=0, le=1)]
 Gain = Positive | tuple[Positive, ...]
 # The name becomes a folder in runs/: no path separators, no leading dot.
-FolderName = Annotated[str, msgspec.Meta(pattern=r"\A[A-Za-z0-9][A-Za-z0-9._-]*\Z")]
+FolderName = Annotated[
+    str,
+    msgspec.Meta(
+        pattern=r"\A[A-Za-z0-9][A-Za-z0-9._-]*\Z",
+        description="the name of a folder: letters, digits, `.`, `_` and `-`, no space, the first "
+        "a letter or a digit",
+    ),
+]
 
 
 class ParameterTable(msgspec.Struct, frozen=True):
@@ -125,7 +132,7 @@ class DiscoverTable(msgspec.Struct, frozen=True):
     is tested, and a note of the answer says so where they are set.
 
     Attributes:
-        effects: canonical names; default: all that fit the plant.
+        effects: names of effects of the library; default: all that fit the plant.
         alpha: probability of a false alarm, over all candidates together.
         most: largest number of effects to add.
         window: length of the re-initialised free runs [s]; default: chosen from the records.

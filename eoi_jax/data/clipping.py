@@ -37,6 +37,8 @@ class Saturation:
 def saturations(record: Record) -> list[Saturation]:
     """Every end of a channel at which samples pile up.
 
+    An input that is zero for long is off, as the sun at night: no end of its range.
+
     Args:
         record: as measured; smoothing rounds the ends off.
 
@@ -55,7 +57,8 @@ def saturations(record: Record) -> list[Saturation]:
             share = _pile(side * values)
             if share:
                 level = float(side * np.max(side * values))
-                piles.append(Saturation(record.name, name, level, share))
+                if level or name not in record.input_names:
+                    piles.append(Saturation(record.name, name, level, share))
     return piles
 
 

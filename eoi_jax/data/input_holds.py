@@ -14,6 +14,7 @@ from eoi_jax._types import Signals
 
 HOLDS = ("zero", "linear", "smooth")
 TRACED_HOLDS = HOLDS[:2]  # those that JAX's arrays may have: no spline
+HOLD_TAKEN = "Hold taken as"  # how a note on a hold that the samples suggest begins
 STAIRCASE = 0.2  # share of steps that may change a held input's value
 
 Hold: TypeAlias = str | tuple[str, ...]  # of all inputs, or of each
@@ -147,4 +148,4 @@ def suggested_hold(u: Signals, names: Sequence[str]) -> tuple[Hold, list[str]]:
     else:
         changes = (f"{key} {100 * share:.3g} %" for key, share in zip(names, shares, strict=True))
         reason = f"share of the steps that change the value is {', '.join(changes)}, limit {limit}"
-    return hold, [f"Hold taken as {hold_text(hold, names)}: {reason}."]
+    return hold, [f"{HOLD_TAKEN} {hold_text(hold, names)}: {reason}."]

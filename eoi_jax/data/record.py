@@ -115,6 +115,8 @@ class Record(Result):
         hold_declared: whether the caller named the hold; else the samples decided it, and an
             estimate decides again by its fit.
         notes: sentences on the changes made to the record, in order.
+        file_units: units in its file, by channel, where the caller neither gave a unit nor scaled
+            the column; None: none.
         smoothed: cut-off frequencies of the zero-phase low-passes applied so far [rad/s].
 
     Raises:
@@ -149,8 +151,8 @@ class Record(Result):
     _skew: Float[np.ndarray, " nu"] | None = field(default=None, metadata=WHERE_SET)
     # Whether it is the later part of another record; None: it is not.
     _continues: bool | None = field(default=None, metadata=WHERE_SET)
-    # Of the inputs before they were smoothed; None: `hold`.
-    _logged_hold: Hold | None = field(default=None, metadata=WHERE_SET)
+    _logged_hold: Hold | None = field(default=None, metadata=WHERE_SET)  # None: `hold`
+    file_units: dict[str, str] | None = field(default=None, metadata=WHERE_SET)
 
     @np.errstate(over="ignore", invalid="ignore")  # of samples that are masked
     def __init__(

@@ -16,16 +16,16 @@ _RULES = RULES.answer
 _MEDIAN_OF_SQUARE = 0.455  # of the square of a normal variable
 _NOTHING_MISSING = "what is left is {}: nothing that the data can name"
 _NO_EFFECT = (
-    "what is left is {}, more than noise, and no effect of the library explains it. `diagnosis` "
+    "what is left is {}, more than noise, and none of the tested effects explains it. `diagnosis` "
     "shows where it lives; more records with other inputs may tell"
 )
 _EXPLAINED_TEXT = "the effects take {:.1%} of the residual's power; what is left is {}"
 _REST_UNEXPLAINED = (
-    ", more than noise. No other effect comes near the first of them, and free runs on other data "
-    "confirm it; the rest stays unexplained"
+    ", more than noise. No other tested effect comes near the first of them, and free runs on "
+    "other data confirm it; the rest stays unexplained"
 )
 _PARTLY = (
-    "the best that the library has, {}, takes only {:.0%} of the residual's power and leaves "
+    "the best of the tested effects, {}, takes only {:.0%} of the residual's power and leaves "
     "{}: not the whole story, so nothing was added"
 )
 

@@ -23,6 +23,7 @@ from eoi_jax._checks import check, check_count, real
 from eoi_jax._process import memory_returned, one_thread
 from eoi_jax.data.clipping import clipped_notes
 from eoi_jax.data.record import Record
+from eoi_jax.data.record_notes import record_notes
 from eoi_jax.data.resampling import Real
 from eoi_jax.discovery.additions import fit_notes
 from eoi_jax.discovery.curves import misses_a_law, with_curves
@@ -147,7 +148,8 @@ def discover(
     check(0.0 < real(alpha) < 1.0, "alpha", "must lie in (0, 1)", alpha, "0.01 is a common choice.")
     most = check_count("most", most)
     runs = check_runs(plant, fit_records, held_out, window)
-    unseen = held_out_records(plant, (*fit_records, *held_out), test, "test")
+    read = *fit_records, *held_out
+    unseen = held_out_records(plant, read, test, "test")
     progress = callback or _no_progress
     progress("fitting the declared model", 0, STAGES)
     search = _Search(
@@ -166,8 +168,8 @@ def discover(
     unplaced_notes = (
         [] if effects is None else notes_without_place(tried_effects, fitting, discovery)
     )
-    clipped = clipped_notes((*fit_records, *held_out))
-    notes = *fit_notes(plant, discovery.added, discovery.found), *unplaced_notes, *runs, *clipped
+    measured = *record_notes((*read, *unseen)), *clipped_notes(read)
+    notes = *fit_notes(plant, discovery.added, discovery.found), *unplaced_notes, *runs, *measured
     discovery = replace(discovery, notes=(*discovery.notes, *notes))
     return with_test_errors(discovery, unseen, fit_records, window) if unseen else discovery
 

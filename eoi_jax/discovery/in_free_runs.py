@@ -554,7 +554,7 @@ _ALL = (
 )
 _NOT_EXPLAINED = (
     "refined, the declared model misses the held-out records by more than noise or chance in free "
-    "runs, and no effect of the library lowers these errors by a third"
+    "runs, and none of the tested effects lowers these errors by a third"
 )
 _WITHIN_NOISE = (
     "with {} the errors on the held-out records would have {:.3g} of those of the refined declared "

@@ -36,25 +36,45 @@ def requested(
         used = np.any(used_inputs(plant), axis=0)
         idle = (action for action in input_actions(plant) if not used[action.signals[0].column])
         return (*standard(), *idle)
+    return named_effects(effects, plant, records)
+
+
+def named_effects(
+    effects: Sequence[AbstractEffect | str],
+    plant: Plant,
+    records: Sequence[Record],
+    field: str = "effects",
+) -> tuple[AbstractEffect, ...]:
+    """The effects of the whole library by name, in all their forms, or as objects.
+
+    Args:
+        effects: names or objects.
+        plant: the declared model.
+        records: to fit; they tell which dependences of parameters there may be.
+        field: of the call or config that has the names, for messages.
+
+    Raises:
+        ValueError: an unknown name, or none that the plant can have.
+    """
     of_plant = input_products(plant) + couplings(plant) + input_actions(plant)
     of_plant += parameter_dependences(plant, records)
     library = (*standard(), *wider(), *on_request(), *of_plant)
-    check_kind("effects", effects, Sequence, "a list of names or effects")
-    check(len(effects) > 0, "effects", "must name at least one effect", "none")
+    check_kind(field, effects, Sequence, "a list of names or effects")
+    check(len(effects) > 0, field, "must name at least one effect", "none")
     chosen: list[AbstractEffect] = []
     names = sorted({effect.name for effect in library} | {Coupling.name, InputAction.name}
                    | {ParameterDependence.name})  # fmt: skip
     for effect in effects:
         if isinstance(effect, str):
-            check_choice("effects", effect, names)
+            check_choice(field, effect, names)
             several = effect != Coupling.name or len(plant.outputs) > 1
-            check(
-                several, "effects", f"{Coupling.name} needs a plant of several outputs", plant.name
-            )
+            check(several, field, f"{Coupling.name} needs a plant of several outputs", plant.name)
             chosen += [candidate for candidate in library if candidate.name == effect]
         else:
-            check_kind("effects", effect, AbstractEffect, "names or effects")
+            check_kind(field, effect, AbstractEffect, "names or effects")
             chosen.append(effect)
+    rule = f"must hold one that fits {plant.name} and its records"
+    check(len(chosen) > 0, field, rule, ", ".join(map(str, effects)))
     return tuple(chosen)
 
 

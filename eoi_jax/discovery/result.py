@@ -117,6 +117,11 @@ class Added:
         return position_text(self.output, self.against, self.through)
 
     @property
+    def is_doubtful(self) -> bool:
+        """Whether it is less probable than not."""
+        return self.probability is not None and self.probability < RULES.probability.likely
+
+    @property
     def alternatives(self) -> tuple[Rival, ...]:
         """Rivals that are named beside it: each has a probability of a tenth or more."""
         return tuple(

@@ -224,12 +224,14 @@ class ProbabilityRules:
     Attributes:
         told: probability from which on a rival is listed.
         alternative: probability from which on it is named beside the effect.
+        likely: probability of an effect below which the answer tells it as possible: even odds.
         implausible: difference of twice the log-likelihood above which a set has no weight.
         largest_odds: of a rival in free runs: a few blocks can say no more.
     """
 
     told: float = 0.01
     alternative: float = 0.1
+    likely: float = 0.5
     implausible: float = 25.0
     largest_odds: float = 1e6
 

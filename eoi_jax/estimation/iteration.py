@@ -30,6 +30,8 @@ from eoi_jax.estimation.regression.least_squares import Solution, least_squares
 from eoi_jax.models.plant import Plant
 from eoi_jax.models.step_scales import coordinates, scaled_step, step_room, step_scales
 
+FEWEST_BLOCKS = 3  # of scores, that give a covariance
+
 Thetas = Float[np.ndarray, "lanes np"]
 Watch = Callable[[int, np.ndarray, np.ndarray], None]
 Run = Callable[[Int[np.ndarray, " running"], Float[np.ndarray, "running np"], int], Sums]
@@ -293,7 +295,7 @@ def sandwich(
     r"""Sandwich covariance [Σφᵀφ]⁻¹ S [Σφᵀφ]⁻¹ of each lane.
 
     S comes from sums of φᵀr over blocks that are longer than the memory of F.
-    NaN on a bound, and where the records hold less than three blocks.
+    NaN on a bound, and where the records hold fewer than `FEWEST_BLOCKS`.
 
     Args:
         free: 1 for an estimated parameter.
@@ -303,7 +305,7 @@ def sandwich(
     """
     inverse = np.asarray(estimate.solution.inverse)
     blocks = counts.complete_blocks
-    if blocks < 3:
+    if blocks < FEWEST_BLOCKS:
         unavailable = np.where(np.outer(free, free) > 0, np.nan, 0.0)
         return np.broadcast_to(unavailable, meat.shape)
     # One block less: at the estimate the scores of all samples sum to zero.

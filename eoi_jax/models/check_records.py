@@ -12,7 +12,7 @@ from eoi_jax.data.cleaning import numbered_names
 from eoi_jax.data.record import Record
 from eoi_jax.models.angles import check_angles
 from eoi_jax.models.plant import Plant
-from eoi_jax.models.units import same_unit
+from eoi_jax.models.units import is_rescaled, same_unit
 
 
 def check_records(plant: Plant, records: Record | Sequence[Record]) -> tuple[Record, ...]:
@@ -61,14 +61,8 @@ def check_records(plant: Plant, records: Record | Sequence[Record]) -> tuple[Rec
                 f"({', '.join(labels)})",
             )
             for name, label in zip(names, labels, strict=True):
-                unit, expected = record.units.get(label), plant.units.get(name)
-                check(
-                    unit is None or expected is None or same_unit(unit, expected),
-                    f"records[{record.name}].{kind}[{label}]",
-                    f"must be in the plant's unit for `{name}`, {expected!r}",
-                    repr(unit),
-                    "Convert the column, or correct the unit.",
-                )
+                field = f"records[{record.name}].{kind}[{label}]"
+                _check_unit(field, record, label, plant.units.get(name), name)
     channels = plant.inputs + plant.outputs
     units = {
         name: record.units[label]
@@ -96,6 +90,19 @@ def _check_places(plant: Plant, record: Record) -> None:
         "output",
         "Give the inputs first: `Record(time, inputs, outputs)`.",
     )
+
+
+def _check_unit(field: str, record: Record, label: str, expected: str | None, name: str) -> None:
+    """A channel must be in the unit of the plant, as far as its caller or its file gives one."""
+    if expected is None:
+        return
+    unit, header = record.units.get(label), (record.file_units or {}).get(label, "")
+    rule = f"must be in the plant's unit for `{name}`, {expected!r}"
+    advice = "Convert the column, or correct the unit."
+    check(unit is None or same_unit(unit, expected), field, rule, repr(unit), advice)
+    advice = "Convert the column by `scale`; or give its unit by `units`, if it is not that of the "
+    value = f"{header!r} in its file"
+    check(not is_rescaled(header, expected), field, rule, value, f"{advice}file.")
 
 
 def _extra_inputs(names: Sequence[str], labels: Sequence[str]) -> str:

@@ -83,7 +83,9 @@ _SPELLINGS = {
     "−": "-",
     "μ": "µ",  # the Greek letter, and the sign of micro
     "degC": "°C",
+    "degF": "°F",
 }
+_TEMPERATURES = ("°C", "°F", "K")  # of which the zeros differ
 _TOKEN = re.compile(r"[A-Za-zµ°]+(?:\^-?\d)?|\S")
 
 
@@ -117,6 +119,24 @@ def same_unit(first: str, second: str) -> bool:
     if units[0] is None or units[1] is None:
         return left_text == right_text
     return units[0].powers == units[1].powers and math.isclose(units[0].factor, units[1].factor)
+
+
+def is_rescaled(first: str, second: str) -> bool:
+    """Whether two texts are different units of one quantity: mm and cm, deg and rad, °F and °C.
+
+    A word that is not understood may be something else than a unit, such as a remark.
+
+    Args:
+        first: as text.
+        second: as text.
+    """
+    texts = _spelled(first), _spelled(second)
+    if all(text in _TEMPERATURES for text in texts):
+        return texts[0] != texts[1]
+    units = [unit for unit in map(_read, texts) if unit is not None]
+    if len(units) < len(texts) or units[0].powers != units[1].powers:
+        return False
+    return not math.isclose(units[0].factor, units[1].factor)
 
 
 def _spelled(unit: str) -> str:

@@ -265,7 +265,9 @@ def _discovery_tiles(result: Discovery) -> tuple[Tile, ...]:
     if result.explained > 0.0:
         share = f"{100 * result.explained:.3g} %"
         tiles.append(Tile("Explained", share, "of the residual's power above the noise"))
-    effects = ", ".join(discovery.described(result, added) for added in result.added)
+    effects = ", ".join(
+        discovery.possibly(added, discovery.described(result, added)) for added in result.added
+    )
     tiles.append(Tile("Added", effects or "nothing"))
     return tuple(tiles)
 

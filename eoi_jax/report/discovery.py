@@ -83,19 +83,20 @@ def _held_factors(discovery: Discovery) -> list[str]:
 
 
 def _lacking(discovery: Discovery) -> str:
-    lacking = _joined(_added_phrases(discovery))
+    phrases = _joined(_added_phrases(discovery))
+    lacking = f"lacks {phrases}".replace("lacks possibly", "possibly lacks", 1) if phrases else ""
     code = discovery.status.code
     if code == "nothing_missing":
         start = "The model lacks nothing that the records show"
     elif code == "partial":
-        start = f"The model lacks {lacking}, and something that is left"
+        start = f"The model {lacking}, and something that is left"
     elif code == "unexplained" and lacking:
-        start = f"The model lacks {lacking}, and something that none of the tested effects explains"
+        start = f"The model {lacking}, and something that none of the tested effects explains"
     elif code == "unexplained":
         start = "The model lacks something that none of the tested effects explains"
         start += " on all records" if discovery.denied else ""
     elif lacking:
-        start = f"The model lacks {lacking}"
+        start = f"The model {lacking}"
     else:
         return f"No answer: {discovery.status}"
     return f"{start}: {_free_run_errors(discovery)}."
@@ -130,7 +131,18 @@ def texts(discovery: Discovery) -> Texts:
 def _added_phrases(discovery: Discovery) -> tuple[str, ...]:
     if discovery.texts is not None:
         return discovery.texts.added
-    return tuple(f"{phrase(discovery, added)}{_alternatives(added)}" for added in discovery.added)
+    ordered = sorted(discovery.added, key=lambda added: added.is_doubtful)
+    return tuple(
+        f"{possibly(added, phrase(discovery, added))}{_alternatives(added)}" for added in ordered
+    )
+
+
+def possibly(added: Added, text: str) -> str:
+    """A text on an effect; of one that is less probable than not: ``possibly a leak (48.3 %)``."""
+    if not added.is_doubtful:
+        return text
+    assert added.probability is not None
+    return f"possibly {text} ({_chance(added.probability)})"
 
 
 def _alternatives(added: Added) -> str:

@@ -109,7 +109,7 @@ _VERDICTS = {
     ),
     "unexplained": _Verdict(
         "attention",
-        "As the answer says, no effect of the library explains this.",
+        "As the answer says, none of the tested effects explains this.",
         "The maps of the residual may suggest a term of your own; `eoi refine` fits the free run "
         "itself.",
     ),

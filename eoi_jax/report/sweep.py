@@ -5,10 +5,16 @@ from typing import Any
 import numpy as np
 
 from eoi_jax._checks import counted
+from eoi_jax.estimation.iteration import FEWEST_BLOCKS
 from eoi_jax.report.style import ACCENT, fix_theme, logarithmic, new_figure, series, themed
 from eoi_jax.report.tables import columns
 
 _LABELS = {"cutoff": "cut-off [rad/s]"}
+_ON_BOUND = "a value on a bound has none"
+_SHORT = (
+    f"{{}} of the length that the filter remembers, and {FEWEST_BLOCKS} are needed; `identify` has "
+    "another estimate"
+)
 
 
 def statuses(sweep: Any) -> dict[str, int]:
@@ -57,6 +63,7 @@ def _estimates(best: Any) -> str:
     names = [str(name) for name in best["parameter"].values]
     resampled = best.sizes["resample"] > 1
     rows = [("record", *(f"{name} ± std. error" for name in names))]
+    notes = ["±: standard deviation over the resamples"] if resampled else []
     for record in best["record"].values:
         estimate = best.sel(record=record)
         values = estimate["parameters"].sel(resample=0).values
@@ -65,10 +72,20 @@ def _estimates(best: Any) -> str:
             errors = resamples.std("resample").values
         else:
             errors = estimate["standard_error"].sel(resample=0).values
-        pairs = zip(values, errors, strict=True)
-        rows.append((str(record), *(f"{value:.6g} ± {error:.2g}" for value, error in pairs)))
-    note = "\n±: standard deviation over the resamples" if resampled else ""
-    return columns(rows, "<" + ">" * len(names)) + note
+        pairs = list(zip(values, errors, strict=True))
+        rows.append((str(record), *(_with_deviation(*pair) for pair in pairs)))
+        if unknown := [name for name, error in zip(names, errors, strict=True) if np.isnan(error)]:
+            blocks = int(estimate["blocks"].sel(resample=0))
+            reason = (
+                _ON_BOUND if blocks >= FEWEST_BLOCKS else _SHORT.format(counted(blocks, "block"))
+            )
+            notes.append(f"{record}: no standard error of {' and '.join(unknown)}: {reason}")
+    return "\n".join([columns(rows, "<" + ">" * len(names)), *notes])
+
+
+def _with_deviation(value: float, error: float) -> str:
+    """A value with its standard error, if that is known."""
+    return f"{value:.6g}" if np.isnan(error) else f"{value:.6g} ± {error:.2g}"
 
 
 @themed()

@@ -199,6 +199,22 @@ def write_csv(path: Path, record: Record) -> None:
     path.write_text("\n".join(["time,voltage,angle", *lines]))
 
 
+def test_what_is_masked_in_a_held_out_record_is_told(config: Path, tmp_path: Path, undrawn):
+    settings = configs.load(config)
+    (record,) = build.records(settings, build.plant(settings, tmp_path), tmp_path)
+    write_csv(tmp_path / "record.csv", record)
+    rows = (tmp_path / "record.csv").read_text().splitlines()
+    for row in (900, 901):
+        rows[row] = rows[row].rpartition(",")[0] + ",n/a"
+    (tmp_path / "later.csv").write_text("\n".join(rows))
+    fitted, _, held_out = MEASURED.partition("[validation]")
+    held_out = f"[validation]{held_out}".replace("record.csv", "later.csv")
+    config.write_text(SHORT[: SHORT.index("[simulate]")] + fitted + held_out)
+    done = eoi("identify", config, "--output", tmp_path / "runs")
+    assert done.exit_code == 0, done.output
+    assert "- later: 2 of 2000 samples are not finite (`angle` 2): masked\n" in done.stdout
+
+
 def test_an_identification_without_an_answer_says_so(
     config: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ):

@@ -14,6 +14,7 @@ from eoi_jax.cli import actions, build, html_report, run_folder
 from eoi_jax.cli import config as configs
 from eoi_jax.cli.commands import app
 from eoi_jax.compiler import jax_setup
+from eoi_jax.discovery import requested
 from eoi_jax.models import effects
 from eoi_jax.models.equations.display import equation_lines
 from eoi_jax.report.provenance import json_values
@@ -288,6 +289,10 @@ def test_without_a_discover_table_everything_is_tried_and_without_held_out_data_
     ("old", "new", "message"),
     [
         ('"cubic_stiffness"', '"cubic_stifness"', "Did you mean `cubic_stiffness`?"),
+        ('"cubic_stiffness"', '"radiaton"', "Did you mean `radiation`?"),
+        ('"cubic_stiffness"', '"coupling"', "`discover.effects` coupling needs a plant of several"),
+        ('effects = ["coulomb_friction", "cubic_stiffness", "input_dead_zone"]',
+         'effects = ["input_action"]', "`discover.effects` must hold one that fits mass"),
         ("[discover]", "[discover]\nalpha = 1.5", "`discover.alpha` must be a number < 1"),
         ("[discover]", "[discover]\nmost = 0", "`discover.most` must be a whole number >= 1"),
         ("[discover]", "[discover]\nlevel = 0.1", "a key of [discover]"),
@@ -313,6 +318,15 @@ def test_a_mistake_in_the_config_is_named(known, config, tmp_path, old, new, mes
     assert done.exit_code == 2
     assert message in done.stderr
     assert not (tmp_path / "runs").exists()
+
+
+@pytest.mark.parametrize("name", ["second_node", "power_loss", "product", "input_modulation"])
+def test_a_config_takes_every_effect_that_a_call_takes(config, name):
+    config.write_text(HIDDEN.replace('"coulomb_friction", "cubic', f'"{name}", "cubic'))
+    job = run_folder.job(configs.load(config), config.parent, None)
+    asked = build.effects(job.settings, job.model, job.records)
+    names = [name, "cubic_stiffness", "input_dead_zone"]
+    assert asked == requested.requested(job.model, names, job.records)
 
 
 # -- hidden effects ---------------------------------------------------------------------------

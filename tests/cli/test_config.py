@@ -326,6 +326,8 @@ MISTAKES = [
     (('plant = "level_tank"', 'plant = "levl_tank"'), "`plant`", "`level_tank`"),
     (('plant = "level_tank"', "plant = 3"), "`plant`", "a text"),
     (('name = "run"', 'name = "../run"'), "`name`", "../run"),
+    (('name = "run"', 'name = "my run"'), "`name` must be the name of a folder: letters", "my run"),
+    (('name = "run"', "name = 3"), "`name` must be a text", "3"),
     (("nominal = { alpha", "nominal = { alfa"), "`parameters.nominal`", "`alpha`"),
     (("nominal = { alpha = 1.5 }", "bounds = { alfa = [0, 1] }"), "`parameters.bounds`", "alpha"),
     (("nominal = { alpha = 1.5 }", "bounds = { alpha = [0] }"), "`parameters.bounds.alpha`", "2"),

@@ -269,6 +269,15 @@ def test_a_signal_that_turns_settles_or_switches_is_not_called_saturated(signal)
     assert saturations(eoi.Record(TIME, DRIVE, signal)) == []
 
 
+@pytest.mark.parametrize(("offset", "ends"), [(0.0, 0), (0.2, 1)])
+def test_an_input_that_is_off_does_not_saturate(offset, ends):
+    """As the sun at night."""
+    sun = offset + np.clip(DRIVE, 0.0, None)
+    assert len(saturations(eoi.Record(TIME, sun, record().outputs))) == ends
+    off = eoi.Record(TIME, DRIVE, sun)
+    assert [end.channel for end in saturations(off)] == ["y"]
+
+
 def test_a_coarse_sensor_is_called_quantised():
     measured = record()
     step = np.std(measured.outputs) / 40.0

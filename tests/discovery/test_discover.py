@@ -241,6 +241,7 @@ def test_effect_outside_those_that_are_asked_for_is_unexplained():
     answer = found("outside")
     assert answer.effects == ()
     assert answer.status.code == "unexplained"
+    assert "none of the tested effects" in answer.status.message
     assert answer.plant.names == MASS.names
 
 
@@ -678,6 +679,27 @@ def test_a_record_too_short_to_tell_anything_is_left_out_with_a_note():
     (note,) = set(both.notes) - set(alone.notes)
     assert note.startswith("run 1: 0.1 s are too short beside the other records")
     assert note.endswith("left out")
+
+
+def test_what_is_masked_in_records_is_told_of_fitted_held_out_and_test_records():
+    records = []
+    for seed in (1, 2, 3):
+        whole = measured(HIDDEN["coulomb"], seed, 2000)
+        outputs = np.array(whole.outputs)
+        outputs[100 : 100 + 2 * seed] = np.nan
+        with pytest.warns(eoi.RecordWarning, match="are not finite"):
+            records.append(
+                eoi.Record(
+                    whole.time, whole.inputs, outputs, whole.name, input_names=MASS.inputs,
+                    output_names=MASS.outputs, units=UNITS, hold="linear",
+                )
+            )  # fmt: skip
+    fit, held, test = records
+    answer = eoi.discover(MASS, fit, held, "coulomb_friction", test=test)
+    told = (
+        "run 1: 2 of 2000 samples are not finite (`position` 2): masked; alike in run 2 and run 3"
+    )
+    assert f"\n- {told}\n" in f"{answer}\n"
 
 
 # -- bounds ---------------------------------------------------------------------------------------

@@ -4,7 +4,7 @@ import math
 
 import pytest
 
-from eoi_jax.models.units import dimension, same_unit
+from eoi_jax.models.units import dimension, is_rescaled, same_unit
 
 TORQUE = {"kg": 1, "m": 2, "s": -2}
 
@@ -89,3 +89,26 @@ def test_a_unit_is_the_same_in_every_spelling(spellings):
 def test_units_that_differ_stay_different(first, second):
     assert not same_unit(first, second)
     assert not same_unit(second, first)
+
+
+@pytest.mark.parametrize(
+    ("first", "second", "rescaled"),
+    [
+        ("mm", "cm", True),
+        ("deg/s", "rad/s", True),
+        ("°F", "°C", True),
+        ("degF", "°F", False),
+        ("K", "°C", True),
+        ("kN", "N", True),
+        ("N m", "Nm", False),
+        ("rpm", "1/min", False),  # revolutions are counted, and so may others be
+        ("min", "°C", False),  # a minimum
+        ("A", "V", False),
+        ("raw", "V", False),
+        ("%", "1", False),
+        ("", "V", False),
+    ],
+)
+def test_units_of_one_quantity_that_are_not_the_same(first, second, rescaled):
+    assert is_rescaled(first, second) is rescaled
+    assert is_rescaled(second, first) is rescaled

@@ -155,7 +155,7 @@ ANSWERS = {
     "complete": ("note", "The answer stands: the added effects explain 93 %"),
     "nothing_missing": ("note", "The answer stands"),
     "partial": ("attention", "As the answer says, more than noise is left"),
-    "unexplained": ("attention", "As the answer says, no effect of the library explains this"),
+    "unexplained": ("attention", "As the answer says, none of the tested effects explains this"),
 }
 
 
@@ -168,7 +168,7 @@ def test_what_is_left_of_the_residual_is_told_in_agreement_with_the_answer(fine,
     assert told.state == state
     assert told.finding.startswith(said)
     assert "noise" in told.finding.removeprefix(said)  # the finding itself follows
-    assert "no effect of the library" not in told.finding or code == "unexplained"
+    assert "none of the tested effects" not in told.finding or code == "unexplained"
 
 
 def test_after_a_search_a_delay_is_looked_up_among_the_candidates(fine):

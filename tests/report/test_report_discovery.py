@@ -1,6 +1,7 @@
 """A discovery as text, equation and figures: the answer first, and nothing that is not so."""
 
 import dataclasses
+import re
 
 import jax.numpy as jnp
 import numpy as np
@@ -16,7 +17,7 @@ from eoi_jax.models.equations.printer import name_latex
 from eoi_jax.models.storage import save
 from eoi_jax.report import discovery_figures, tables
 from eoi_jax.report.contents import discovery_contents
-from eoi_jax.report.discovery import answer, described, discovery_text
+from eoi_jax.report.discovery import answer, described, discovery_text, texts
 
 
 @pytest.fixture(scope="module")
@@ -214,6 +215,37 @@ def test_a_rival_that_is_nearly_as_probable_is_named_in_the_answer_and_every_one
     assert " ".join(offset[4:]) == rivals
     sure = [dataclasses.replace(one, probability=None, rivals=()) for one in found.added]
     assert "probability" not in discovery_text(dataclasses.replace(found, added=tuple(sure)))
+
+
+FRICTION, OFFSET = "Coulomb (dry) friction of F", "a constant offset of F"
+
+
+@pytest.mark.parametrize("stored", [False, True])
+@pytest.mark.parametrize(
+    ("chances", "said"),
+    [
+        ((0.5, 0.9), f"lacks {FRICTION} and {OFFSET}: "),
+        ((0.483, 0.9), f"lacks {OFFSET} and possibly {FRICTION} (48.3 %): "),
+        ((0.06, 0.02), f"possibly lacks {FRICTION} (6 %) and possibly {OFFSET} (2 %): "),
+    ],
+)
+def test_an_effect_that_is_less_probable_than_not_is_told_as_possible(found, stored, chances, said):
+    added = tuple(
+        dataclasses.replace(item, probability=chance, rivals=())
+        for item, chance in zip(found.added, chances, strict=True)
+    )
+    told = dataclasses.replace(found, added=added)
+    if stored:
+        told = dataclasses.replace(told, texts=texts(told))
+    line = re.sub(r"of [-\d.]+ ± [\d.e-]+ N", "of F", answer(told))
+    assert line.startswith(f"The model {said}")
+    (tile,) = [
+        tile.value
+        for tile in discovery_contents(told, {"diagnosis": diagnose(told.found)}).tiles
+        if tile.label == "Added"
+    ]
+    assert tile.count("possibly") == said.count("possibly")
+    assert told.effects == found.effects
 
 
 def test_candidates_of_one_name_are_told_apart(found):

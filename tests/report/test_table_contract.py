@@ -554,6 +554,25 @@ def test_tables_of_a_comparison_of_two_outputs():
     assert_rows(rows_below(text, "parameter"), estimates_of(known))
 
 
+@pytest.mark.parametrize(
+    ("samples", "reason"), [(60, "2 blocks of the length"), (1000, "a value on a bound has none")]
+)
+def test_a_sweep_without_standard_errors_says_why(record, samples, reason):
+    plant = eoi.Plant(
+        lambda t, x, u, p: p.b * u - p.k * x.y[0], {"b": 1.0, "k": 0.5}, 1, ("flow",), ("upper",)
+    )
+    y = record.outputs[:samples, :1]
+    one = eoi.Record(record.time[:samples], record.inputs[:samples], y, "first", hold="linear",
+                     input_names=("flow",), output_names=("upper",))  # fmt: skip
+    swept = eoi.sweep(plant, [[one]], lowpass=eoi.LowPass(20.0), passes=2)
+    best = eoi.best(swept)
+    if samples > 100:
+        best["standard_error"] = best["standard_error"] * np.nan
+    text = sweep_text(swept, best)
+    assert "nan" not in text
+    assert f"\nfirst: no standard error of b and k: {reason}" in text
+
+
 @pytest.mark.parametrize("resamples", [0, 12])
 def test_tables_of_a_sweep(record, resamples):
     plant = eoi.Plant(

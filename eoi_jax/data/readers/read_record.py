@@ -75,7 +75,9 @@ def read_record(
         name: of the record; default: the file's name.
         sample_period: time between samples [s].
         scale: ``{column: factor}``, e.g. ``{"tempo_ms": 1e-3}``.
-        units: ``{column: unit}`` after scaling, for tables and figures.
+        units: ``{column: unit}`` after scaling, for tables and figures, and to be those of the
+            model; of a column that is neither named here nor scaled, the unit in the file must not
+            be another one of the same quantity.
         hold: of the inputs, as in `Record`; where they differ, by column. By default what the file
             declares, if it does.
         burn_in: time at the start that is not scored [s], as in `Record`.
@@ -143,7 +145,9 @@ def read_record(
         burn_in=burn_in,
         mask_faults=mask_faults,
     )
-    return record._changed(" ".join([*hints, *hold_notes, *notes]))
+    open_labels = {key: labels[key] for key in labels if key not in {*factors, *unit_names, clock}}
+    record = record._changed(" ".join([*hints, *hold_notes, *notes]))
+    return _with_file_units(record, open_labels, table)
 
 
 # -- choosing columns ---------------------------------------------------------------------
@@ -177,6 +181,13 @@ def _declared_hold(table: Table, hold: HoldArgument) -> tuple[HoldArgument, list
         return hold, []
     words = hold_text(read_hold(table.holds, table.inputs), table.inputs)
     return table.holds, [f"Hold {words}, as the file says. If it is another one, give `hold`."]
+
+
+def _with_file_units(record: Record, labels: Mapping[str, str], table: Table) -> Record:
+    """The record with the units in its file of these columns, whose names in it are `labels`."""
+    units = {label: table.units[key] for key, label in labels.items() if table.units.get(key)}
+    record._assign({"file_units": units or None})
+    return record
 
 
 def _options_by_column(

@@ -164,4 +164,10 @@ def _unit(unit: str) -> str:
 
 
 def _start(model: Program, symbol: Symbol) -> str:
-    return f"starts at {model.start_values[symbol]!r}" if symbol in model.start_values else ""
+    if symbol not in model.start_values:
+        return ""
+    start = f"starts at {model.start_values[symbol]!r}"
+    return f"{start}, {_ESTIMATED}" if symbol in model.estimated_starts else start
+
+
+_ESTIMATED = "or where a free run estimates it for its record"

@@ -64,6 +64,7 @@ class Program:
         output_formulas: what they are.
         output_definitions: parts that these share.
         arguments: what the formulas depend on besides states, inputs and parameters.
+        estimated_starts: internal states that free runs start elsewhere where a record shows it.
     """
 
     name: str
@@ -81,6 +82,7 @@ class Program:
     output_formulas: tuple[Expression, ...] = ()
     output_definitions: tuple[tuple[Symbol, Expression], ...] = ()
     arguments: tuple[Symbol, ...] = (Symbol("t"),)
+    estimated_starts: tuple[Symbol, ...] = ()
 
     @property
     def of_outputs(self) -> "Program":
@@ -175,6 +177,8 @@ def program(plant: Plant, *, lags_as_states: bool = True) -> Program:
               (plant.outputs[j] for j in algebraic)),
         tuple(output_trees),
         tuple(output_definitions),
+        estimated_starts=tuple(name for name, is_open in
+                               zip(names, plant.open_internal, strict=True) if is_open),
     )  # fmt: skip
 
 

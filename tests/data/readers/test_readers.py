@@ -9,6 +9,8 @@ from scipy.io import savemat
 
 from eoi_jax._checks import RecordWarning
 from eoi_jax.data.readers.read_record import read_record
+from eoi_jax.models.check_records import check_records
+from eoi_jax.models.plant import Plant
 
 N = 50
 T = 0.01 * np.arange(N)
@@ -375,3 +377,27 @@ def test_late_samples_of_a_2_ms_clock_are_no_gaps(data_directory):
         record = read_record(folder / "A0_03.npz", "time", "tau_meas1", ["pos_meas1", "pos_meas2"])
     assert record.valid.all()  # late samples of 3.6 ms on a 2 ms clock are no gaps
     assert record.outputs.shape[1] == 2
+
+
+HEADERS = {"in the name": "t,valve [%],level [mm]\n", "in a row": "t,valve,level\ns,%,mm\n"}
+
+
+@pytest.mark.parametrize("header", HEADERS.values(), ids=HEADERS)
+def test_the_unit_in_a_file_is_checked_where_the_caller_gives_none(tmp_path, header):
+    """1 mm as 1 cm would be a wrong answer without a word."""
+    path = tmp_path / "tank.csv"
+    path.write_text(header + "".join(f"{0.1 * i:.1f},{i % 7},{i}\n" for i in range(40)))
+    names = header.splitlines()[0].split(",")
+    units = {"h": "cm", "valve": "%"}
+    plant = Plant(lambda t, x, u, p: p.k * u[0], {"k": 1.0}, 1, ("valve",), ("h",), units=units)
+    wrong = r"outputs\[level.*\]` must be in the plant's unit for `h`, 'cm', got 'mm' in its file."
+    record = read_record(path, *names)
+    with pytest.raises(ValueError, match=wrong):
+        check_records(plant, record[5:30])
+    for options in ({"scale": {names[2]: 0.1}}, {"units": {names[2]: "cm"}}):
+        record = read_record(path, *names, **options)
+        assert check_records(plant, record) == (record,)
+    path.write_text(path.read_text().replace("mm", "raw"))
+    names = [name.replace("mm", "raw") for name in names]
+    record = read_record(path, *names)
+    assert check_records(plant, record) == (record,)

@@ -393,11 +393,25 @@ def test_a_file_says_what_its_numbers_are(tmp_path):
     plant = with_effects(eoi.plants.pendulum(), [effects.InputDelay(), effects.Hysteresis()])
     text = eoi.export(plant, tmp_path / "model.c").read_text(encoding="utf-8")
     assert "states[1] angle_rate [rad/s]: derivative 1 of angle" in text
-    assert "states[2] z: internal state, not measured; starts at 0.0" in text
+    assert "states[2] z: internal state, not measured; starts at 0.0, or where a free" in text
     assert "inputs[0] voltage [V]: its value input_delay seconds ago" in text
     assert "input_delay = 0.3 [s]: a delay" in text
     assert "at angle_rate = 0 the right-hand side is set-valued" in text
     assert "const double a = 76.0; /* 1/s² */" in text
+
+
+def test_a_file_says_which_starts_free_runs_estimate(tmp_path):
+    """A second store: the errors of the answer are those of runs that start it elsewhere."""
+    tank = eoi.Plant(lambda t, x, u, p: p.k * u[0] - p.a * x.y[0], {"k": 1.0, "a": 0.1}, 1,
+                     ("heat",), ("T",), initial={"T": 20.0})  # fmt: skip
+    plant = with_effects(tank, [effects.SecondNode()])
+    assert plant.open_internal.tolist() == [True]
+    for name in ("model.py", "model.c", "model.m"):
+        text = eoi.export(plant, tmp_path / name).read_text(encoding="utf-8")
+        (line,) = [line for line in text.splitlines() if "T" in line and "starts at" in line]
+        assert line.endswith("starts at 20.0")
+        (line,) = [line for line in text.splitlines() if "z: internal state" in line]
+        assert "; starts at 0.0, or where a free run estimates it for its record" in line
 
 
 def test_a_result_is_exported_by_its_plant(tmp_path):

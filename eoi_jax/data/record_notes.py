@@ -1,0 +1,39 @@
+"""What was masked, dropped or resampled in records, in few sentences however many records."""
+
+import re
+from collections.abc import Sequence
+
+from eoi_jax._checks import counted
+from eoi_jax.data.input_holds import HOLD_TAKEN
+from eoi_jax.data.record import Record
+
+
+def record_notes(records: Sequence[Record]) -> list[str]:
+    """The notes of records; those that differ in numbers alone are one sentence, of the first.
+
+    What is said of a hold is left out: a fit may choose another one.
+
+    Args:
+        records: as they were read.
+
+    Returns:
+        Sentences such as ``"run 1: 7 of 360 samples are not finite (`h` 7): masked; alike in run
+        2"``.
+    """
+    alike: dict[str, dict[str, str]] = {}  # the note of each record, by the note without numbers
+    for record in records:
+        for note in record.notes:
+            if not note.startswith(HOLD_TAKEN):
+                form = re.sub(r"[\d.]+(e[+-]?\d+)?", "#", note)
+                alike.setdefault(form, {}).setdefault(record.name, note.rstrip("."))
+    return [_sentence(notes) for notes in alike.values()]
+
+
+def _sentence(notes: dict[str, str]) -> str:
+    """The note of the first record, and which others have one like it."""
+    first, *names = notes
+    sentence = f"{first}: {notes[first]}"
+    if not names:
+        return sentence
+    records = " and ".join(names) if len(names) < 3 else counted(len(names), "other record")
+    return f"{sentence}; alike in {records}"
