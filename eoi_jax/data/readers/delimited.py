@@ -195,12 +195,20 @@ def _read(source: Any, lines: Sequence[str], encoding: str, separator: str | Non
         raise ValueError(f"its header repeats a name: {names_text}; give each column its own name")
     units = {key: unit for key, unit in zip(keys, layout.units, strict=False) if unit and fits}
     columns: Columns = {}
+    objects: dict[str, str] = {}
     for i, key in enumerate(keys):
+        grouped = _thousands(frame[i]) if layout.decimal == "," else ""
+        if grouped:
+            objects[key] = (
+                f"`{key}` holds {grouped!r} in a table with decimal commas: write numbers without "
+                "thousands separators, and with decimal commas throughout."
+            )
+            continue
         columns[key] = _column(key, frame[i], layout.decimal, notes)
         if columns[key].dtype.kind == "O":
             columns[key], unit = without_unit(columns[key])
             units |= {key: unit} if unit else {}
-    return Table(columns, {**_named_units(keys), **units}, tuple(notes))
+    return Table(columns, {**_named_units(keys), **units}, tuple(notes), objects)
 
 
 def first_word(cells: Iterable[Any]) -> str:
@@ -229,6 +237,14 @@ def _column(key: str, values: Any, decimal: str, notes: list[str]) -> np.ndarray
     if decimal == ",":  # a cell that is no number keeps pandas from converting the column
         array = np.asarray([_with_decimal_point(cell) for cell in array], dtype=object)
     return without_words(key, array, notes)
+
+
+def _thousands(values: Any) -> str:
+    """The first cell that is a whole number with thousands points, or one with a decimal point."""
+    if values.dtype.kind in "biuf":
+        return ""
+    cells = values.dropna().astype("string").str.strip()
+    return next(iter(cells[cells.str.fullmatch(r"[+-]?[1-9]\d{0,2}(\.\d{3})+")]), "")
 
 
 def _with_decimal_point(cell: Any) -> Any:

@@ -97,6 +97,20 @@ def test_a_cell_that_is_no_number_comes_with_what_to_do(tmp_path, cell, advice):
         read_record(path, time="t", inputs="u", outputs="y")
 
 
+@pytest.mark.parametrize("mark", ["7,5", "---", ""])
+def test_a_point_between_decimal_commas_is_never_taken_for_a_decimal_point(tmp_path, mark):
+    """A cell 1.000 is a thousand there, or one: the column is refused, the others are read."""
+    rows = [f"{k},5;{mark if k == 3 else '1.000' if k == 9 else k};{k},25" for k in range(N)]
+    path = tmp_path / "run.csv"
+    path.write_text("t;u;y\n" + "\n".join(rows))
+    with pytest.raises(
+        ValueError, match=r"`u` holds '1.000' in a table with decimal commas: write"
+    ):
+        read_record(path, time="t", inputs="u", outputs="y")
+    assert len(read_record(path, time="t", outputs="y").time) == N
+    assert any("`u` holds '1.000'" in text for text in inspect(path).left_out)
+
+
 @pytest.mark.parametrize(
     "cells",
     [
