@@ -105,11 +105,11 @@ def read_record(
     path = Path(path)
     table = read_table(path, max_gigabytes, sheet)
     columns, roles = table.columns, (time, sample_period, inputs, outputs)
-    hold_notes: list[str] = []
-    if table.outputs and all(option in (None, ()) for option in roles):
+    is_declared = table.outputs and all(option in (None, ()) for option in roles)
+    if is_declared:
         time, inputs, outputs = table.time, table.inputs, table.outputs
         scale, units = _declared(table) if (scale, units) == (None, None) else (scale, units)
-        hold, hold_notes = _declared_hold(table, hold)
+    hold, hold_notes = _declared_hold(table, hold) if is_declared else (hold, [])
     _check_clock(time, sample_period)
     clock = None if time is None else _column_name("time", time)
     u_columns, y_columns = _column_names("inputs", inputs), _column_names("outputs", outputs)
@@ -141,13 +141,10 @@ def read_record(
         input_names=[labels[key] for key in u_columns],
         output_names=[labels[key] for key in y_columns],
         units={"time" if key == clock else labels[key]: unit for key, unit in unit_names.items()},
-        hold=hold,
-        burn_in=burn_in,
-        mask_faults=mask_faults,
-    )
-    open_labels = {key: labels[key] for key in labels if key not in {*factors, *unit_names, clock}}
-    record = record._changed(" ".join([*hints, *hold_notes, *notes]))
-    return _with_file_units(record, open_labels, table)
+        hold=hold, burn_in=burn_in, mask_faults=mask_faults,
+    )  # fmt: skip
+    silent = {key: labels[key] for key in labels if key not in {*factors, *unit_names, clock}}
+    return _with_file_units(record, " ".join([*hints, *hold_notes, *notes]), silent, table)
 
 
 # -- choosing columns ---------------------------------------------------------------------
@@ -183,8 +180,9 @@ def _declared_hold(table: Table, hold: HoldArgument) -> tuple[HoldArgument, list
     return table.holds, [f"Hold {words}, as the file says. If it is another one, give `hold`."]
 
 
-def _with_file_units(record: Record, labels: Mapping[str, str], table: Table) -> Record:
+def _with_file_units(record: Record, note: str, labels: Mapping[str, str], table: Table) -> Record:
     """The record with the units in its file of these columns, whose names in it are `labels`."""
+    record = record._changed(note)
     units = {label: table.units[key] for key, label in labels.items() if table.units.get(key)}
     record._assign({"file_units": units or None})
     return record
