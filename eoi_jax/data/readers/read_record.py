@@ -134,9 +134,7 @@ def read_record(
     hints = _date_notes(clock, table, selected, rows, clock in factors)
     signals, notes = _unwrapped(selected, unwrap, [*u_columns, *y_columns], stamps, rows)
     record = Record(
-        stamps[rows],
-        signals[:, : len(u_columns)],
-        signals[:, len(u_columns) :],
+        stamps[rows], signals[:, : len(u_columns)], signals[:, len(u_columns) :],
         _stem(path) if name is None else name,
         input_names=[labels[key] for key in u_columns],
         output_names=[labels[key] for key in y_columns],
