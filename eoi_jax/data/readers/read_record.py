@@ -452,6 +452,7 @@ def _printable(table: Table) -> Table:
         None if table.time is None else readable.get(table.time),
         tuple(readable[key] for key in table.inputs),
         tuple(readable[key] for key in table.outputs),
+        {readable[key]: hold for key, hold in table.holds.items()},
         tuple(map(printable, table.sheets)),
     )
 
