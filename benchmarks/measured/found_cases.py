@@ -21,11 +21,13 @@ from scipy.signal import savgol_filter
 
 import eoi_jax as eoi
 from benchmarks.measured.campaign_cases import Rig
+from benchmarks.measured.found_actuated_cases import ACTUATED
 from benchmarks.measured.found_blind_cases import BLIND
 from benchmarks.measured.found_cooling_cases import COOLERS
 from benchmarks.measured.found_driven_cases import DRIVEN
 from benchmarks.measured.found_flow_cases import FLOWS
 from benchmarks.measured.found_fresh_cases import FRESH
+from benchmarks.measured.found_heated_cases import HEATED
 from benchmarks.measured.found_kit_cases import KITS
 from benchmarks.measured.found_late_cases import LATE
 from benchmarks.measured.found_latest_cases import LATEST
@@ -425,4 +427,6 @@ FOUND: Mapping[str, FoundSet] = {
     **ROBOTS,
     **MOTIONS,
     **COOLERS,
+    **ACTUATED,
+    **HEATED,
 }
