@@ -203,6 +203,6 @@ def test_pieces_of_a_long_record_have_a_hold_for_each_input():
 
 
 def test_a_record_without_inputs_has_no_hold_in_its_text():
-    record = eoi.Record(np.arange(5.0), np.zeros((5, 0)), np.arange(5.0), input_names=())
+    record = eoi.Record(np.arange(9.0), np.zeros((9, 0)), np.arange(9.0), input_names=())
     assert "hold" not in str(record)
     assert "100 % valid" in str(record)
