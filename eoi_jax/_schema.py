@@ -76,8 +76,8 @@ def _value(annotation: Any, value: Any, name: str) -> Any:
         return msgspec.convert(value, annotation)
     except msgspec.ValidationError as error:
         rule, place = _rule_and_place(str(error))
-        is_form = isinstance(value, str)  # that a pattern asks for: it is told in words
-        words = [meta.description for meta in getattr(annotation, "__metadata__", ()) if is_form]
+        metadata = getattr(annotation, "__metadata__", ()) if isinstance(value, str) else ()
+        words = [meta.description for meta in metadata if meta.description]  # what a pattern asks
         check(False, name + place, f"must be {words[0]}" if words else rule, repr(value))
 
 
