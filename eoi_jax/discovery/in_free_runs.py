@@ -393,7 +393,7 @@ def answered(
         added = _added(discovery, answer, fit, best)
         lead = PartialExplanation(added, 1.0 - ratio**2, fit, *best.runs)
     left = bool(beyond_noise(base.runs[1], answer.judging)) or _tells_of_motion(lead, base)
-    if answer.better_base or not (left or beyond_noise(base.runs[0], answer.judging)):
+    if answer.better_base or (lead is None and not left and _is_noise(base)):
         # What the injection said of the model as it was is said of no other one; where samples are
         # far apart it is an error of what lies between them.
         verdict = ("unexplained", _NOT_EXPLAINED) if left else ("nothing_missing", _NOTHING_MISSING)
@@ -404,6 +404,12 @@ def answered(
             lead, hint = None, FitNote(_WITHIN_NOISE.format(labels_of(best.placed), ratio))
             lost = [*lost, hint]
     return replace(discovery, lead=lead, notes=(*discovery.notes, *lost))
+
+
+def _is_noise(model: Judged) -> bool:
+    """Whether the errors of a model on the records that judge are their noise, in all runs."""
+    runs = [run for run in model.runs if run is not None]
+    return all(np.all(run.rmse <= _RULES.silent * sensor_noise(run)) for run in runs)
 
 
 def _tells_of_motion(lead: PartialExplanation | None, base: Judged) -> bool:

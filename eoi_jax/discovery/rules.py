@@ -341,6 +341,9 @@ class QuestionRules:
             justifies, from which on it does not take its place. Set with emps in view.
         useless: the same of a model that a constant is better than, whatever the noise. Set with
             indomethacin in view.
+        silent: error over the noise up to which a declared model lacks nothing that held-out
+            records show, whatever the injection leaves. Set with circuits that are sampled at half
+            to one time constant in view.
     """
 
     motion: float = 0.7
@@ -349,6 +352,7 @@ class QuestionRules:
     wide: float = 0.05
     contradicted: float = 2.0
     useless: float = 1.25
+    silent: float = 1.2
 
 
 @dataclass(frozen=True)
