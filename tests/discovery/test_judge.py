@@ -125,7 +125,7 @@ def test_the_answer_says_that_long_runs_decided(monkeypatch, answer, long_ratio,
     assert judged.effects == effects_named
     notes = [note for note in judged.notes if note.startswith("in short runs the predictions")]
     assert len(notes) == len(effects_named)
-    assert effects_named or judged.status == found.status
+    assert effects_named or judged.status.code in ("unexplained", "nothing_missing")
 
 
 def test_the_number_in_the_answer_is_the_mean_that_it_says(monkeypatch, answer):
