@@ -1,4 +1,4 @@
-"""Status of a run (what happened, the likely cause, what to try) and the engine that ran it."""
+"""Status of a run (what happened, the likely cause, what to try), notes, and its engine."""
 
 from dataclasses import dataclass
 
@@ -39,6 +39,12 @@ class Status:
 
     def __str__(self) -> str:
         return f"{self.code}: {self.message}"
+
+
+class FitNote(str):
+    """A sentence on a fitted model: another fit has its own."""
+
+    __slots__ = ()
 
 
 @dataclass(frozen=True)

@@ -7,11 +7,7 @@ holds.
 from dataclasses import dataclass
 from enum import StrEnum
 
-
-class FitNote(str):
-    """A sentence on a fitted model with effects in it: another fit has its own."""
-
-    __slots__ = ()
+from eoi_jax._status import FitNote
 
 
 class GridNote(str):

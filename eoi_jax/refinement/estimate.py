@@ -7,7 +7,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from eoi_jax._checks import counted, percent
-from eoi_jax._status import Status
+from eoi_jax._status import FitNote, Status
 from eoi_jax.data.record import Record
 from eoi_jax.data.windows import restart_notes
 from eoi_jax.data.wrapped_outputs import wrapped_notes
@@ -66,7 +66,7 @@ def refinement_of(
         window,
         _status(fit, certainty.lost, factors),
         (
-            *(_ON_BOUND.format(name, plant.parameters[name]) for name in bound),
+            *(FitNote(_ON_BOUND.format(name, plant.parameters[name])) for name in bound),
             *_unsettled(fit),
             *wrapped_notes(records),
             *_restarts(records, spans),
@@ -112,16 +112,12 @@ def _unsettled(fit: Fit) -> tuple[str, ...]:
     if not fit.unsettled > 0 or not np.isfinite(fit.unsettled):
         return ()
     change = f"{percent(fit.unsettled)} after {counted(fit.fits, 'fit')}"
-    return (_UNSETTLED.format(change),)
+    return (FitNote(_UNSETTLED.format(change)),)
 
 
 def notes_on_runs(result: Refinement) -> tuple[str, ...]:
     """Notes that hold for its runs whatever the parameters are: not of bounds and weights."""
-    on_bound = {_ON_BOUND.format(*item) for item in result.parameters.items()}
-    unsettled = _UNSETTLED.partition("{")[0]
-    return tuple(
-        note for note in result.notes if note not in on_bound and not note.startswith(unsettled)
-    )
+    return tuple(note for note in result.notes if not isinstance(note, FitNote))
 
 
 def _restarts(records: Sequence[Record], spans: Sequence[Span]) -> list[str]:
