@@ -352,12 +352,12 @@ def _noise(
 
     It enters y^(r) and, through the states, the model: n^(r) - Σ ∂f/∂y^(m) n^(m), and what it does
     to internal states. Where the slopes vary along the record, their mean acts as a filter, and
-    their variance acts as white noise. An internal resonance rings no longer than the record.
+    their variance acts as white noise.
     """
     gain = np.sinc(omega * factor * h / (2.0 * np.pi)) ** 8
     slopes = np.where(np.isfinite(slopes), slopes, 0.0)
     s = 1j * 2.0 * np.sin(0.5 * omega * h) / h
-    ringing = internal(s + 1.0 / (h * len(slopes)))
+    ringing = internal(s)
     noise, sigma = np.zeros((len(omega), len(plant.outputs))), output_noise(plant, record)
     for j, degree in enumerate(plant.degrees):
         for k in range(len(plant.outputs)):

@@ -85,11 +85,9 @@ def views_of(identification: Identification) -> tuple[list[View], PerOutput]:
         thin = max(round(0.5 * np.pi / (lowpass.cutoff * h)), 1)
         time, states, inputs = _measured_signals(plant, record)
         gain = _gain(lowpass, record, substeps, thin)
-        # An internal resonance rings no longer than the record.
-        s = gain.derivative + 1.0 / (h * len(record))
         null, samples_per_independent = _null_covariance(
             _noise_moments(plant, time, states, inputs),
-            internal_response(plant, time, states, inputs, s),
+            internal_response(plant, time, states, inputs, gain.derivative),
             # Samples that are further apart have as much noise in a narrower band.
             raw_noise(plant, record) * np.sqrt(record.output_periods / h),
             gain,

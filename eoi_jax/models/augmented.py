@@ -450,22 +450,21 @@ class _Actuator:
 
     def keeps_steps(self, count: int) -> tuple[bool, ...]:
         """Which of the inputs, if held, come out held."""
-        base = keeps_steps(self.base, count)
-        smoothed = {
-            placement.channel
-            for placement in self.placed
-            if isinstance(placement.effect, AbstractActuator) and not placement.effect.keeps_steps
-        }
-        return tuple(flag and i not in smoothed for i, flag in enumerate(base))
+        return self._all_have("keeps_steps", keeps_steps(self.base, count))
 
     def are_linear(self, count: int) -> tuple[bool, ...]:
         """In which of the inputs it is linear."""
-        bent = {
+        return self._all_have("is_linear", are_linear(self.base, count))
+
+    def _all_have(self, attribute: str, base: tuple[bool, ...]) -> tuple[bool, ...]:
+        """On which inputs the plant's actuator and all new ones have an attribute."""
+        without = {
             placement.channel
             for placement in self.placed
-            if isinstance(placement.effect, AbstractActuator) and not placement.effect.is_linear
+            if isinstance(placement.effect, AbstractActuator)
+            and not getattr(placement.effect, attribute)
         }
-        return tuple(flag and i not in bent for i, flag in enumerate(are_linear(self.base, count)))
+        return tuple(flag and i not in without for i, flag in enumerate(base))
 
     @property
     def shapes(self) -> tuple[str, ...] | None:

@@ -48,7 +48,8 @@ def internal_response(
     r"""What enters f from each output through the internal states: ∂f/∂z (sI - ∂g/∂z)⁻¹ ∂g/∂y.
 
     g is the rate of the internal states, which the measured outputs drive; the slopes are means
-    along the record, at their initial values.
+    along the record, at their initial values. A resonance rings no longer than the record: s is
+    moved by one over its length, which bounds the response of an integrator too.
 
     Args:
         plant: as of `derivatives`, like the next three.
@@ -67,6 +68,7 @@ def internal_response(
     by_state, free, by_output = (
         np.mean(np.nan_to_num(np.asarray(part), posinf=0.0, neginf=0.0), axis=0) for part in slopes
     )
+    s = s + 1.0 / float(time[-1] - time[0])
     powers = s[:, None] ** np.arange(by_output.shape[1])
     entering = np.einsum("wm,zmk->wzk", powers, by_output)
     return by_state @ np.linalg.solve(s[:, None, None] * np.eye(len(free)) - free, entering)
