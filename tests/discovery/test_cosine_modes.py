@@ -3,6 +3,7 @@
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from elastic_drive import elastic_drive
 
 import eoi_jax as eoi
 from eoi_jax.discovery.cosine_modes import (
@@ -42,21 +43,7 @@ PENDULUM = eoi.Plant(pendulum, {"a": 30.0, "b": 0.8, "d": 20.0}, relative_degree
 ROUGH = eoi.Plant(rough, {"b": 2.0, "c": 1.0}, relative_degree=2)
 
 
-def motor(t, x, u, p):
-    twist, load = x.z
-    return p.b * u - p.c * x.y[0] - p.k * twist - p.d * (x.y[0] - load)
-
-
-def shaft(t, x, u, p):
-    """Twist, and the speed of a load that is not measured: resonant, driven by the motor."""
-    (speed,), (twist, load) = x.y[0], x.z
-    return jnp.stack([speed - load, p.r * (p.k * twist + p.d * (speed - load))])
-
-
-DRIVE = eoi.Plant(
-    motor, {"b": 30.0, "c": 1.0, "k": 100.0, "d": 0.3, "r": 2.0}, relative_degree=1,
-    internal=shaft, internal_initial=(0.0, 0.0),
-)  # fmt: skip
+DRIVE = elastic_drive(b=30.0, c=1.0, k=100.0, d=0.3, r=2.0)
 
 
 def size(one: ModalRecord, errors: np.ndarray) -> float:

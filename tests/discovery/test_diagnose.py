@@ -5,6 +5,7 @@ from dataclasses import replace
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from elastic_drive import elastic_drive
 from scipy.integrate import quad
 from scipy.linalg import expm
 from scipy.signal import butter, sosfilt
@@ -113,24 +114,13 @@ def test_the_residual_of_a_right_model_has_the_predicted_size(clean):
     assert clean.white[0]
 
 
-def motor(t, x, u, p):
-    twist, load = x.z
-    return p.b * u - p.c * x.y[0] - p.k * twist - p.d * (x.y[0] - load)
-
-
-def shaft(t, x, u, p):
-    (speed,), (twist, load) = x.y[0], x.z
-    return jnp.stack([speed - load, p.r * (p.k * twist + p.d * (speed - load))])
-
-
 @pytest.mark.parametrize("level", [1e-3, 1e-2])
 def test_noise_that_rings_in_an_internal_resonance_is_known(level):
     """A drive with a load that is not measured: its measured speed drives the shaft."""
-    values = {"b": 30.0, "c": 1.0, "k": 900.0, "d": 2.0, "r": 0.8}
-    model = eoi.Plant(motor, values, relative_degree=1, internal=shaft, internal_initial=(0.0, 0.0))
+    model = elastic_drive(b=30.0, c=1.0, k=900.0, d=2.0, r=0.8)
     time, random = 4e-3 * np.arange(3000), np.random.default_rng(5)
-    drive = np.repeat(random.uniform(-1.5, 1.5, 120), 25)
-    clean = eoi.simulate(model, time, drive, hold="zero")
+    command = np.repeat(random.uniform(-1.5, 1.5, 120), 25)
+    clean = eoi.simulate(model, time, command, hold="zero")
     outputs = clean.outputs + level * np.std(clean.outputs) * random.standard_normal((3000, 1))
     measured = eoi.Record(time, clean.inputs, outputs, hold="zero")
     found = diagnose(eoi.identify(model, measured))
