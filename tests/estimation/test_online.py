@@ -524,6 +524,7 @@ def test_the_rate_of_false_alarms_is_what_was_asked_for(rate):
 def test_a_plant_that_is_slower_has_the_same_alarm_slower(identified):
     result, record = identified
     fast = eoi.online_estimator(result, record, false_alarms=1e-3).alarm
+    assert fast is not None
     assert fast.memory == pytest.approx(3.0 / result.lowpass.cutoff)
     values = make("oscillator")[0].parameters
     powers = {"g": 2, "c": 1, "k": 2}  # of 1/s in the unit of a parameter
@@ -535,6 +536,7 @@ def test_a_plant_that_is_slower_has_the_same_alarm_slower(identified):
     found = eoi.identify(slower, slow_record, instruments=False)
     slow = eoi.online_estimator(found, slow_record, false_alarms=1e-6)
     assert slow.sample_period == pytest.approx(1e3 * H)
+    assert slow.alarm is not None
     assert slow.alarm.memory == pytest.approx(1e3 * fast.memory)
     assert slow.alarm.threshold == pytest.approx(fast.threshold, rel=1e-3)
 
