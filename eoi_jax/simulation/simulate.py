@@ -214,8 +214,8 @@ def _shifted_stages(
 def acted(plant: Plant, driven_by: Drive, theta: Theta | None = None) -> Drive:
     """The drive of a whole record behind the actuators of a plant.
 
-    Between the steps it is taken to be continuous: parabolas with the means over the steps. Where
-    an output of relative degree 0 shows the input itself, a held input stays one behind a delay.
+    Between the steps it is taken to be continuous: parabolas with the means over the steps. A held
+    input stays a staircase behind a delay.
 
     Args:
         plant: with an actuator, or without.
@@ -269,11 +269,11 @@ def parabolas(
         past: as in `actuated`.
     """
     time, inputs = xp.asarray(driven_by.time), xp.asarray(driven_by.inputs)
-    if plant.has_algebraic:
-        time = xp.concatenate([time, time[-1:] + driven_by.step])
-        held_on = xp.broadcast_to(xp.asarray(driven_by.last), (1, *inputs.shape[1:]))
-        inputs = xp.concatenate([inputs, held_on])
-    first, middle, last = xp.moveaxis(inputs, 1, 0)
+    steps = len(time)
+    # A step more, which tells how the last one ends.
+    time = xp.concatenate([time, time[-1:] + driven_by.step])
+    held_on = xp.broadcast_to(xp.asarray(driven_by.last), (1, *inputs.shape[1:]))
+    first, middle, last = xp.moveaxis(xp.concatenate([inputs, held_on]), 1, 0)
     mean = (first + 4.0 * middle + last) / 6.0
     middles = time + 0.5 * driven_by.step
     if past is None:
@@ -284,11 +284,34 @@ def parabolas(
     ends = xp.concatenate([mean[:1], 0.5 * (mean[1:] + mean[:-1]), mean[-1:]])
     begins, stops = ends[:-1], ends[1:]
     parts = xp.stack([begins, 1.5 * mean - 0.25 * (begins + stops), stops], axis=1)
-    if not plant.has_algebraic:
-        return parts
     is_held = xp.all(first == last, axis=0)
     is_held &= np.asarray(keeps_steps(plant.actuator, len(plant.inputs)))
-    return xp.where(is_held, mean[:, None], parts)
+    if plant.has_algebraic:
+        return xp.where(is_held, mean[:, None], parts)
+    held = _staircase(xp, mean) if driven_by.substeps > 1 else mean[:, None]
+    return xp.where(is_held, held, parts)[:steps]
+
+
+def _staircase(xp: Any, mean: Float[Any, "steps nu"]) -> Float[Any, "steps 3 nu"]:
+    r"""Stages of a staircase whose levels last two steps of the simulation at least.
+
+    In a step in which it changes by Δ, when a share φ of the step is over, the parabola with the
+    same mean m and the same two next moments (its projection onto Legendre polynomials) has at the
+    ends m + a ∓ 3 w Δ, and m - a / 2 in the middle, w = φ(1 - φ) and a = 4 (φ - 1/2) w Δ.
+
+    Args:
+        xp: NumPy or JAX's.
+        mean: of the staircase over each step.
+    """
+    before = xp.concatenate([mean[:1], mean[:-1]])
+    after = xp.concatenate([mean[1:], mean[-1:]])
+    change = after - before
+    share = (after - mean) / xp.where(change == 0.0, 1.0, change)
+    weighted = xp.maximum(share * (1.0 - share), 0.0) * change
+    bend = 4.0 * (share - 0.5) * weighted
+    return xp.stack(
+        [mean + bend - 3.0 * weighted, mean - 0.5 * bend, mean + bend + 3.0 * weighted], axis=1
+    )
 
 
 def past_slopes(plant: Plant, driven_by: Drive) -> Float[np.ndarray, "steps 3 nu past"]:
