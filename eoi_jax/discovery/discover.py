@@ -22,6 +22,7 @@ from dataclasses import dataclass, replace
 from eoi_jax._checks import check, check_count, real
 from eoi_jax._process import memory_returned, one_thread
 from eoi_jax.data.clipping import clipped_notes
+from eoi_jax.data.holds import with_hold
 from eoi_jax.data.record import Record
 from eoi_jax.data.record_notes import record_notes
 from eoi_jax.data.resampling import Real
@@ -44,8 +45,14 @@ from eoi_jax.discovery.in_injection import (
     search_injection,
     without_search,
 )
+from eoi_jax.discovery.own_judge import needs_judge, with_own_judge, with_share
 from eoi_jax.discovery.refined import refined_answer, without_bias
-from eoi_jax.discovery.remainder import partial_where_more_is_left, with_differences, with_doubts
+from eoi_jax.discovery.remainder import (
+    follows_time,
+    partial_where_more_is_left,
+    with_differences,
+    with_doubts,
+)
 from eoi_jax.discovery.requested import names_with_place, notes_without_place, requested
 from eoi_jax.discovery.result import Discovery
 from eoi_jax.discovery.rules import RULES
@@ -67,7 +74,7 @@ from eoi_jax.models.effects import (
     rare,
     wider,
 )
-from eoi_jax.models.effects.dependence import foreign_dependences
+from eoi_jax.models.effects.dependence import foreign_dependences, parameter_dependences
 from eoi_jax.models.effects.effect import AbstractEffect
 from eoi_jax.models.plant import Plant
 
@@ -97,7 +104,8 @@ def discover(
         records: to fit and to search; all of them together.
         validation: records that the fit does not see, for the errors before and after; or the
             share of each record that is held out at its end. Without them the errors are those on
-            `records`, and the answer says so.
+            `records`, and the answer says so; where these leave it open, the last three tenths of
+            each record are held out, and a note says that.
         effects: to try, as names or objects; by default all of `eoi_jax.effects.standard()` and
             actions of inputs that no equation has; where these leave the residual unexplained,
             beside them `eoi_jax.effects.rare()`, `couplings(plant)`, `input_actions(plant)` and, on
@@ -156,15 +164,9 @@ def discover(
         plant, lowpass, tried_effects, rare_effects, alpha, most, window, refine,
         effects is not None, progress,
     )  # fmt: skip
-    indices = hold_indices(plant, fit_records, declared_index, lowpass)
-    if indices is None:
-        searched = search.on(fit_records, held_out)
-    else:
-        search = replace(search, lowpass=indices.lowpass)
-        searched = with_best_hold(search.on, fit_records, held_out, indices)
-    discovery = search.in_free_runs(searched, fit_records, held_out)
-    discovery = with_held_inputs(discovery, search.answered, fit_records, held_out)
-    discovery = with_differences(partial_where_more_is_left(discovery), fit_records)
+    discovery = search.discovered(fit_records, held_out)
+    if needs_judge(discovery, fit_records) and (parts := with_share(plant, fit_records)):
+        discovery = with_own_judge(discovery, search.discovered(*parts))
     unplaced_notes = (
         [] if effects is None else notes_without_place(tried_effects, fitting, discovery)
     )
@@ -198,6 +200,23 @@ class _Search:
     named: bool
     progress: Progress
 
+    def discovered(self, records: tuple[Record, ...], held_out: tuple[Record, ...]) -> Discovery:
+        """The answer, on records whose hold is chosen where it is not declared.
+
+        Args:
+            records: to fit and to search, as given.
+            held_out: that judge, as given.
+        """
+        indices = hold_indices(self.plant, records, declared_index, self.lowpass)
+        if indices is None:
+            search, searched = self, self.on(records, held_out)
+        else:
+            search = replace(self, lowpass=indices.lowpass)
+            searched = with_best_hold(search.on, records, held_out, indices)
+        discovery = search.in_free_runs(searched, records, held_out)
+        discovery = with_held_inputs(discovery, search.answered, records, held_out)
+        return with_differences(partial_where_more_is_left(discovery), records)
+
     def answered(self, records: tuple[Record, ...], held_out: tuple[Record, ...]) -> Discovery:
         """What the injection and free runs say of these records, whose hold is as it is."""
         return self.in_free_runs(self.on(records, held_out), records, held_out)
@@ -217,6 +236,9 @@ class _Search:
         dependences = (law for law in self.rare if isinstance(law, ParameterDependence))
         further = () if self.named else (*wider(), *of_plant, *dependences)
         effects = [effect.since(start) for effect in dict.fromkeys((*self.effects, *further))]
+        changing = self._changing_in_time(discovery, records, held_out)
+        if changing and changing.status.code == "complete" and not leaves_more(changing):
+            return changing
         if leaves_more(discovery):
             discovery = unless_refined_is_better(discovery, records)
         is_open = leaves_open(discovery)
@@ -232,7 +254,24 @@ class _Search:
             discovery = with_further_effects(named, records, held_out, *settings)
             if len(discovery.added) > len(named.added):
                 discovery = self._with_curves(discovery, records)
-        return discovery
+        return changing if changing and discovery.status.code == "unexplained" else discovery
+
+    def _changing_in_time(
+        self, discovery: Discovery, records: tuple[Record, ...], held_out: tuple[Record, ...]
+    ) -> Discovery | None:
+        """An answer with a parameter that changes with time; None where there is none.
+
+        What wears, fouls or warms up changes a parameter. It is tried where the residual of the
+        injection, which no effect explains, depends on time most; held-out records must confirm it.
+        """
+        if self.named or not (held_out and follows_time(discovery)):
+            return None
+        own = discovery.held_out[0]
+        made = (with_hold(group, own.hold, own.skew) for group in (records, held_out))
+        laws = (law for law in parameter_dependences(self.plant, records) if not law.signals)
+        search = replace(self, effects=tuple(laws), rare=(), named=True)
+        answer = search.answered(*made)
+        return answer if answer.added and answer.status.code in ("complete", "partial") else None
 
     def _with_curves(self, discovery: Discovery, records: tuple[Record, ...]) -> Discovery:
         """The answer, with curves where these predict far better, or as well as many laws."""

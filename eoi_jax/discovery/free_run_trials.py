@@ -78,7 +78,7 @@ class Search:
         for window in (judge.longest, judge.window):
             ends = [_fitted(start, present, searched, window, judge) for start in starts]
             fits = [fit for fit in ends if fit is not None]
-            bases += [min(fits, key=lambda fit: fit.error)] if fits else []
+            bases += [min(fits, key=lambda fit: fit.error_of_all)] if fits else []
             agree &= len(fits) == len(ends)
             agree &= all(judge.is_same(fit.error, bases[-1].error) for fit in fits)
         ordered = sorted(bases, key=lambda fit: fit.error)

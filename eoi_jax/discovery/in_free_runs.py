@@ -38,6 +38,7 @@ from eoi_jax.discovery.replacements import fixed_shapes, replaced_terms
 from eoi_jax.discovery.result import Added, Discovery, PartialExplanation
 from eoi_jax.discovery.rivals import experiments
 from eoi_jax.discovery.rules import RULES
+from eoi_jax.estimation.holdout import resting_outputs
 from eoi_jax.estimation.identify import Identification
 from eoi_jax.estimation.lowpass import LowPass
 from eoi_jax.estimation.preparation import prepare_records
@@ -86,7 +87,7 @@ def leaves_open(discovery: Discovery) -> bool:
         lost = bool(np.any(runs.nrmse > _RULES.useless))
         return lost or bool(beyond_noise(runs, discovery.held_out))
     # What holds over time alone tells no held-out record to its noise.
-    in_time = _in_time(discovery.added) and _misses_by_more_than_noise(discovery)
+    in_time = holds_over_time(discovery.added) and _misses_by_more_than_noise(discovery)
     doubted = in_time or _bends(discovery.added)
     doubted |= _may_be_store(discovery.added) and not is_small
     return code in ("unexplained", "no_data") or (code == "complete" and doubted)
@@ -97,10 +98,10 @@ def _stands_in(added: Sequence[Added]) -> bool:
 
     An overflow beside an offset or a leak is one, in place of a loss that bends.
     """
-    return _in_time(added) or _bends(added)
+    return holds_over_time(added) or _bends(added)
 
 
-def _in_time(added: Sequence[Added]) -> bool:
+def holds_over_time(added: Sequence[Added]) -> bool:
     """Whether one of some effects is a disturbance in time."""
     return any(isinstance(item.effect, Drift | SinusoidalDisturbance) for item in added)
 
@@ -393,7 +394,7 @@ def answered(
         added = _added(discovery, answer, fit, best)
         lead = PartialExplanation(added, 1.0 - ratio**2, fit, *best.runs)
     left = bool(beyond_noise(base.runs[1], answer.judging)) or _tells_of_motion(lead, base)
-    if answer.better_base or (lead is None and not left and _is_noise(base)):
+    if answer.better_base or (lead is None and not left and _is_noise(answer)):
         # What the injection said of the model as it was is said of no other one; where samples are
         # far apart it is an error of what lies between them.
         verdict = ("unexplained", _NOT_EXPLAINED) if left else ("nothing_missing", _NOTHING_MISSING)
@@ -406,9 +407,11 @@ def answered(
     return replace(discovery, lead=lead, notes=(*discovery.notes, *lost))
 
 
-def _is_noise(model: Judged) -> bool:
-    """Whether the errors of a model on the records that judge are their noise, in all runs."""
-    runs = [run for run in model.runs if run is not None]
+def _is_noise(answer: FreeRunAnswer) -> bool:
+    """Whether the base misses records that judge, and move, by their noise in all runs."""
+    if resting_outputs(answer.judging, answer.records):
+        return False
+    runs = [run for run in answer.base.runs if run is not None]
     return all(np.all(run.rmse <= _RULES.silent * sensor_noise(run)) for run in runs)
 
 
@@ -560,7 +563,8 @@ _ALL = (
 )
 _NOT_EXPLAINED = (
     "refined, the declared model misses the held-out records by more than noise or chance in free "
-    "runs, and none of the tested effects lowers these errors by a third"
+    "runs, and none of the effects that were tried in them, which are no disturbances in time, "
+    "lowers these errors by a third"
 )
 _WITHIN_NOISE = (
     "with {} the errors on the held-out records would have {:.3g} of those of the refined declared "

@@ -75,6 +75,15 @@ def partial_where_more_is_left(discovery: Discovery) -> Discovery:
     return replace(discovery, status=Status("partial", f"{status.message}; {left}"))
 
 
+def follows_time(discovery: Discovery) -> bool:
+    """Whether a residual that no effect explains depends on time more than on any signal."""
+    if discovery.status.code != "unexplained" or discovery.diagnosis is None:
+        return False
+    return any(
+        item is not None and item.variable == "time" for item in discovery.diagnosis.strongest
+    )
+
+
 def with_differences(discovery: Discovery, records: Sequence[Record]) -> Discovery:
     """An answer that leaves something, with a note where an offset of each record takes most of it.
 

@@ -345,6 +345,7 @@ class QuestionRules:
         silent: error over the noise up to which a declared model lacks nothing that held-out
             records show, whatever the injection leaves. Set with circuits that are sampled at half
             to one time constant in view.
+        own_share: part of each record that is held out at its end where no others were given.
     """
 
     motion: float = 0.7
@@ -354,6 +355,7 @@ class QuestionRules:
     contradicted: float = 2.0
     useless: float = 1.25
     silent: float = 1.2
+    own_share: float = 0.3
 
 
 @dataclass(frozen=True)

@@ -1,0 +1,96 @@
+"""One record without `validation`: what its own answer leaves open, its end judges."""
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import eoi_jax as eoi
+from eoi_jax.discovery.own_judge import with_share
+
+RATE, NOISE = 60.0, 4e-4
+
+
+def swing(seed: int, friction: float, samples: int = 400) -> eoi.Record:
+    """A mass on a spring, released: damped half-swings about the displaced rest position.
+
+    y'' + 0.15 y' + 49 y = -friction sign(y'), by the closed form of each half-swing.
+    """
+    square, decay = 49.0, 0.075
+    rate = np.sqrt(square - decay**2)
+    time = np.arange(samples) / RATE
+    y, begin, place = np.empty(samples), 0.0, 0.08
+    while square * abs(place) > friction and begin < time[-1]:
+        rest = np.sign(place) * friction / square
+        late = time - begin
+        swinging = (late >= 0.0) & (late < np.pi / rate)
+        angle = rate * late[swinging]
+        wave = np.cos(angle) + decay / rate * np.sin(angle)
+        y[swinging] = rest + (place - rest) * np.exp(-decay * late[swinging]) * wave
+        place = rest - (place - rest) * np.exp(-decay * np.pi / rate)
+        begin += np.pi / rate
+    y[time >= begin] = place
+    y += NOISE * np.random.default_rng(seed).standard_normal(samples)
+    return eoi.Record(time, np.zeros((samples, 0)), y, input_names=(), output_names=("x",))
+
+
+def spring(t, x, u, p):
+    return -p.stiffness * x.y[0] - p.damping * x.y[1]
+
+
+def spring_with_friction(t, x, u, p):
+    return spring(t, x, u, p) - p.friction * jnp.sign(x.y[1])
+
+
+PLANT = eoi.Plant(
+    spring, {"stiffness": 40.0, "damping": 0.1}, 2, inputs=(), outputs=("x",), units={"x": "m"}
+)
+
+
+@pytest.mark.slow
+def test_dry_friction_is_no_sinusoid_in_time():
+    found = eoi.discover(PLANT, swing(2, 0.25))
+    assert found.effects == ("coulomb_friction",)
+    assert found.plant.parameters["coulomb_friction"] == pytest.approx(0.25, abs=0.01)
+    assert not found.in_sample
+    assert any("no `validation` was given" in note for note in found.notes)
+
+
+def test_a_model_that_lacks_nothing_is_not_accused_for_a_record_that_goes_on_at_rest():
+    values = {"stiffness": 40.0, "damping": 0.1, "friction": 0.3}
+    plant = eoi.Plant(spring_with_friction, values, 2, inputs=(), outputs=("x",))
+    found = eoi.discover(plant, swing(3, 0.6))
+    assert found.status.code == "nothing_missing"
+    assert found.plant.parameters["stiffness"] == pytest.approx(49.0, rel=0.05)
+
+
+def test_what_is_held_out_is_the_end_of_the_motion_and_the_rest():
+    record = swing(4, 0.6)  # at rest after 1.35 s, a fifth, of 6.65 s
+    parts = with_share(PLANT, [record])
+    assert parts is not None
+    ((fitted,), (judging,)) = parts
+    assert fitted.time[-1] == pytest.approx(0.7 * 0.2 * 6.65, abs=0.1)
+    assert len(fitted) + len(judging) == len(record)
+
+
+def test_records_too_short_to_judge_stay_as_they_are():
+    assert with_share(PLANT, [swing(5, 0.1, samples=16)]) is None
+
+
+def test_a_gain_that_falls_with_time_is_found_where_the_residual_follows_time():
+    def heated(t, x, u, p):
+        return -x.y[0] / p.lag + p.gain * u
+
+    def run(seed: int) -> eoi.Record:
+        rng, lag, step, count = np.random.default_rng(seed), 30.0, 2.0, 1800
+        u = rng.uniform(20.0, 80.0, count // 60).repeat(60)
+        time, y = step * np.arange(count), np.zeros(count)
+        decay = np.exp(-step / lag)
+        for k in range(count - 1):
+            level = lag * 0.02 * (1.0 - 1e-4 * (time[k] + 0.5 * step)) * u[k]
+            y[k + 1] = level + (y[k] - level) * decay
+        return eoi.Record(time, u, y + 0.02 * rng.standard_normal(count), hold="zero")
+
+    plant = eoi.Plant(heated, {"lag": 25.0, "gain": 0.015}, 1, inputs=("u",), outputs=("y",))
+    found = eoi.discover(plant, run(1), run(2))
+    assert found.effects == ("parameter_dependence",)
+    assert found.added[0].parameters["parameter_dependence_gain_time"] < 0.0
