@@ -225,9 +225,9 @@ def cement_heat(folder: Path) -> Rig:
         "J", windows=4,
         remark="growth that saturates, and a power of 3.1 of what is left, held out 6.4 and 6.5 "
         "for 17.7 and 34.9; a power of 4.9 of what is left alone 6.8 and 7.0 (here 19.2 and "
-        "11.2), of the heat as well 6.3 and 6.9, the rate as a polynomial of the heat of degree 4 7.5 and "
-        "8.3 (here 18.6 and 12.4), of degree 3 9.2 and 11.6, growth that saturates alone 7.5 and "
-        "19.0, a drift 6.5 and 11.8; the untouched portion gave 4 % less heat",
+        "11.2), of the heat as well 6.3 and 6.9, the rate as a polynomial of the heat of degree 4 "
+        "7.5 and 8.3 (here 18.6 and 12.4), of degree 3 9.2 and 11.6, growth that saturates alone "
+        "7.5 and 19.0, a drift 6.5 and 11.8; the untouched portion gave 4 % less heat",
     )  # fmt: skip
 
 
