@@ -46,7 +46,7 @@ from eoi_jax.discovery.in_injection import (
     without_search,
 )
 from eoi_jax.discovery.own_judge import needs_judge, with_own_judge, with_share
-from eoi_jax.discovery.refined import refined_answer, without_bias
+from eoi_jax.discovery.refined import refined_answer, with_hint, without_bias
 from eoi_jax.discovery.remainder import (
     follows_time,
     partial_where_more_is_left,
@@ -319,7 +319,7 @@ class _Search:
             self.progress("refining, and what free runs lack", 2 + _RULES.rounds, STAGES)
             discovery = refined_answer(task, discovery, effects if self.named else None)
         else:
-            discovery = without_bias(task, discovery)
+            discovery = with_hint(task, without_bias(task, discovery))
         if not resolved:
             discovery = judged_by_free_runs(task, discovery)
         discovery = with_doubts(discovery, records, self.refine)

@@ -246,11 +246,16 @@ class RefinementRules:
         first_steps: of the solver, in which a fit from passes without bias has converged. More of
             them take time where passes are right, fewer let what follows take it. Set with an
             oscillator of van der Pol, circuits and doses in view.
+        hint: probability by chance, for all tries together, below which what free runs alone show
+            is told where nothing is missing.
+        hint_samples: of the records at most, where that is asked: it takes as long as the search.
     """
 
     additions: int = 3
     negligible: float = 0.01
     first_steps: int = 5
+    hint: float = 1e-4
+    hint_samples: int = 5000
 
 
 @dataclass(frozen=True)

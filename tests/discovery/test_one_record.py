@@ -76,6 +76,27 @@ def test_records_too_short_to_judge_stay_as_they_are():
     assert with_share(PLANT, [swing(5, 0.1, samples=16)]) is None
 
 
+def test_what_free_runs_alone_hint_at_is_told():
+    """A pendulum with dry friction so small that its injection is within the noise."""
+
+    def pendulum(t, x, u, p):
+        return -p.square * jnp.sin(x.y[0]) - p.damping * x.y[1]
+
+    def rubbing(t, x, u, p):
+        return pendulum(t, x, u, p) - 0.05 * jnp.sign(x.y[1])
+
+    values, time = {"square": 17.6, "damping": 0.05}, np.arange(400) / 30.0
+    plants = [eoi.Plant(f, values, 2, inputs=(), outputs=("angle",)) for f in (pendulum, rubbing)]
+    notes = []
+    for plant in plants:
+        run = eoi.simulate(plant, time, np.zeros((400, 0)), {"angle": (0.5, 0.0)}, substeps=32)
+        noise = 3e-3 * np.random.default_rng(0).standard_normal(run.outputs.shape)
+        answer = eoi.discover(plants[0], run.with_outputs(run.outputs + noise, "measured"))
+        assert answer.status.code == "nothing_missing"
+        notes.append([note for note in answer.notes if "hint at coulomb_friction" in note])
+    assert (len(notes[0]), len(notes[1])) == (0, 1)
+
+
 def test_a_gain_that_falls_with_time_is_found_where_the_residual_follows_time():
     def heated(t, x, u, p):
         return -x.y[0] / p.lag + p.gain * u
