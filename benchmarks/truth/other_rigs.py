@@ -289,6 +289,10 @@ def driven_rigs() -> list[Rig]:
         Rig("valve with a motor", "0.5 a second at most", ("rate_limit",), first,
             lambda x, u: (2.0 * x[1] - x[0], max(-0.5, min(400.0 * (u - x[1]), 0.5))),
             (0.0, 0.0), 0.05, 2000, levels(1.0, 60, -1.0)),
+        Rig("valve that sticks", "0.3 of play", ("input_play",), first,
+            lambda x, u: (2.0 * x[1] - x[0],
+                          400.0 * (max(u - 0.15 - x[1], 0.0) + min(u + 0.15 - x[1], 0.0))),
+            (0.0, 0.0), 0.05, 2000, levels(1.0, 60, -1.0)),
         Rig("bent sensor", "y = x + 0.25 x²", ("sensor_curve",), first,
             lambda x, u: (math.sqrt(1.0 + x[0])
                           * (u - 1.4 * x[0] / (1.0 + math.sqrt(1.0 + x[0]))),),

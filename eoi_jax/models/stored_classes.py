@@ -108,6 +108,7 @@ CLASSES: Mapping[str, str] = {
     "VaryingCapacity": "models.effects.capacity",
     "RateAsymmetry": "models.effects.capacity",
     "RateLimit": "models.effects.inputs",
+    "InputPlay": "models.effects.inputs",
     "SensorCurve": "models.effects.series",
     "InputDeadZone": "models.effects.inputs",
     "InputDelay": "models.effects.inputs",

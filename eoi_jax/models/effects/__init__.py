@@ -41,6 +41,7 @@ from eoi_jax.models.effects.inputs import InputAsymmetry as InputAsymmetry
 from eoi_jax.models.effects.inputs import InputDeadZone as InputDeadZone
 from eoi_jax.models.effects.inputs import InputDelay as InputDelay
 from eoi_jax.models.effects.inputs import InputModulation as InputModulation
+from eoi_jax.models.effects.inputs import InputPlay as InputPlay
 from eoi_jax.models.effects.inputs import InputQuadratic as InputQuadratic
 from eoi_jax.models.effects.inputs import InputRate as InputRate
 from eoi_jax.models.effects.inputs import InputSaturation as InputSaturation

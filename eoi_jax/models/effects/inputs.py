@@ -399,6 +399,43 @@ def _ramped(z: Any, u: Any, reach: Any) -> tuple[Any, Any]:
     return z + moved, z + moved * (1.0 - 0.5 * jnp.abs(moved) / reach)
 
 
+class InputPlay(AbstractActuator):
+    """z follows u where they are gap/2 apart, and stays within: backlash, or a valve that sticks.
+
+    The play operator: M. A. Krasnosel'skii and A. V. Pokrovskii, Systems with Hysteresis (1989). At
+    the start of the record z is at u.
+    """
+
+    name = "input_play"
+    sentence = "a play of the actuator, as of a backlash or of a valve that sticks"
+    rarity = 1.0
+    shapes = (Parameter("", "{u}", lower=0.0),)
+    depends_on = "t"
+    only_in_free_runs = True
+    keeps_steps = True
+
+    def shows(self, seen: Seen) -> bool:
+        return bool(np.ptp(seen.u))
+
+    def grid(self, seen: Seen) -> Grid:
+        return np.ptp(seen.u) * np.geomspace(0.01, 0.5, 10)[:, None]
+
+    def along(self, time: Any, u: Any, shape: Any) -> Any:
+        return jax.lax.scan(lambda z, u: (_dragged(z, u, shape[0]),) * 2, u[0], u)[1]
+
+    def memory(self, period: float, shape: Any) -> int:
+        return 1
+
+    def step(self, memory: Any, u: Any, period: Any, shape: Any) -> tuple[Any, Any]:
+        state = _dragged(memory[0], u, shape[0])
+        return state[None], state
+
+
+def _dragged(z: Any, u: Any, gap: Any) -> Any:
+    """Where u takes z along, which stays where it is within half the gap."""
+    return jnp.clip(z, u - 0.5 * gap, u + 0.5 * gap)
+
+
 def _lag_factors(lag: Any, period: Any, xp: Any) -> tuple[Any, Any]:
     """exp(-h/T) of a lag with time constant T, and its mean over a step."""
     decay = xp.exp(-period / xp.maximum(lag, _SHORTEST * period))

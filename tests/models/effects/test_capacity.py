@@ -105,6 +105,22 @@ def test_a_limited_actuator_steps_as_it_runs_along():
     np.testing.assert_allclose(limit.along(time, jnp.asarray(u), [3.0]), means, rtol=1e-12)
 
 
+def test_a_play_follows_half_its_gap_late_and_stays_at_a_reversal():
+    time, u = 0.1 * np.arange(6), jnp.array([0.0, 0.1, 1.0, 0.8, 0.5, -0.5])
+    played = effects.InputPlay().along(time, u, [0.4])
+    np.testing.assert_allclose(played, [0.0, 0.0, 0.8, 0.8, 0.7, -0.3], atol=1e-12)
+
+
+def test_a_play_steps_as_it_runs_along():
+    time, u = 0.1 * np.arange(40), np.random.default_rng(1).uniform(-1.0, 1.0, 40)
+    play, memory, means = effects.InputPlay(), jnp.asarray(u[:1]), []
+    assert play.memory(0.1, [0.5]) == 1
+    for value in u:
+        memory, mean = play.step(memory, value, 0.1, [0.5])
+        means.append(mean)
+    np.testing.assert_allclose(play.along(time, jnp.asarray(u), [0.5]), means, rtol=1e-12)
+
+
 def cone(seed, count=1200, period=0.1):
     """A cone-shaped tank (its section grows with the square of the level) by SciPy."""
     random = np.random.default_rng(seed)

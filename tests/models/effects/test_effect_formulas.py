@@ -166,6 +166,7 @@ def test_every_effect_has_a_closed_form_here():
         "input_rate",
         "input_modulation",
         "rate_limit",
+        "input_play",
     }  # test_effects.py
     assert {one.name for one in in_series} == {
         "cells_in_series",
