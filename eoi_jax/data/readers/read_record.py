@@ -22,6 +22,7 @@ from eoi_jax.data.readers.excel import read_excel
 from eoi_jax.data.readers.hdf5 import read_hdf5
 from eoi_jax.data.readers.limits import MAX_GIGABYTES, Allowance
 from eoi_jax.data.readers.matlab import read_mat
+from eoi_jax.data.readers.stamps import TIMES_OF_DAY, are_days
 from eoi_jax.data.readers.table import Columns, Table, add_columns
 from eoi_jax.data.readers.words import is_grouped
 from eoi_jax.data.record import Record
@@ -61,7 +62,8 @@ def read_record(
     or none: columns are then called ``0``, ``1``, …, or by the numbers 0, 1, …), .parquet, .mat
     (any version), .h5, .hdf5, .npz, .xlsx (with openpyxl). Structures and groups are reached as
     ``structure.field`` in .mat and ``group/name`` in .h5; column 2 of a matrix as ``name[2]``,
-    counted from 0. Columns of dates and times of day count in seconds from the first.
+    counted from 0. Columns of dates and times of day count in seconds from the first; times of day
+    are of the dates in another column, if there is one.
 
     A file that declares its inputs, outputs and time, as an `iddata` in a .mat file does, needs no
     names: ``read_record("run.mat")``. Its `InterSample` is then the hold; with names of columns it
@@ -345,16 +347,26 @@ def _check_seconds(clock: str, table: Table, stamps: np.ndarray) -> None:
 def _date_notes(
     clock: str | None, table: Table, picked: Columns, rows: slice, scaled: bool
 ) -> list[str]:
-    """Sentences on dates in days and on an hour left out; dates with an hour twice are refused."""
+    """Sentences on dates in days, days of times of day and an hour left out.
+
+    Dates with an hour twice, and days where another column has the times, are refused.
+    """
     if clock is None:
         return []
     stamps = picked[clock][rows]
+    said = [note for note in table.notes if note.startswith(f"`{clock}` {TIMES_OF_DAY}")]
     if table.columns[clock].dtype.kind != "M":
-        return [] if scaled else date_hints(clock, stamps)
-    sentences = daylight_saving(stamps)
-    goes_back = bool(np.any(np.diff(stamps) < 0)) and bool(sentences)
-    check(not goes_back, f"time[{clock}]", "must increase", "an hour twice", " ".join(sentences))
-    return sentences
+        return said if scaled else [*said, *date_hints(clock, stamps)]
+    dates = {key: values for key, values in table.columns.items() if values.dtype.kind == "M"}
+    times = [key for key, values in dates.items() if not are_days(values)]
+    twice = are_days(dates[clock]) and bool(np.any(np.diff(stamps) == 0))
+    advice = f"Name the column that has the times: {' or '.join(times)}."
+    check(not (twice and times), f"time[{clock}]", "must increase", "days, each several times",
+          advice)  # fmt: skip
+    shifts = daylight_saving(stamps)
+    goes_back = bool(np.any(np.diff(stamps) < 0)) and bool(shifts)
+    check(not goes_back, f"time[{clock}]", "must increase", "an hour twice", " ".join(shifts))
+    return [*said, *shifts]
 
 
 def _rows(chosen: tuple[int, int | None] | None, count: int) -> slice:
