@@ -22,7 +22,7 @@ import numpy as np
 
 from eoi_jax._checks import counted
 from eoi_jax.data.readers.limits import PIECE, Allowance
-from eoi_jax.data.readers.stamps import is_stamp, on_their_days, read_stamps
+from eoi_jax.data.readers.stamps import is_stamp, on_their_days, read_stamps, zone_problem
 from eoi_jax.data.readers.table import Columns, Table
 from eoi_jax.data.readers.words import without_unit, without_words
 
@@ -188,6 +188,9 @@ def _read(source: Any, lines: Sequence[str], encoding: str, separator: str | Non
     if repeated:
         names_text = ", ".join(repeated[:5])
         raise ValueError(f"its header repeats a name: {names_text}; give each column its own name")
+    if names and not fits:
+        what = f"{counted(len(names), 'name')} for {counted(frame.shape[1], 'column')}"
+        notes.append(f"The header has {what}: left out, and the columns are numbered from 0.")
     units = {key: unit for key, unit in zip(keys, layout.units, strict=False) if unit and fits}
     columns: Columns = {}
     objects: dict[str, str] = {}
@@ -198,6 +201,10 @@ def _read(source: Any, lines: Sequence[str], encoding: str, separator: str | Non
                 f"`{key}` holds {grouped!r} in a table with decimal commas: write numbers without "
                 "thousands separators, and with decimal commas throughout."
             )
+            continue
+        problem = zone_problem(key, frame[i])
+        if problem:
+            objects[key] = problem
             continue
         columns[key] = _column(key, frame[i], layout.decimal, notes)
         if columns[key].dtype.kind == "O":

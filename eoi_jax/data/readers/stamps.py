@@ -11,9 +11,24 @@ from eoi_jax.data.readers.table import Columns
 
 TIMES_OF_DAY = "holds times of day"  # how a note on such a column goes on behind its name
 _CLOCK = r"\d{1,2}:\d{2}(:\d{2}([.,]\d+)?)?\s*([AaPp][Mm])?"
+# English and German, whole or abbreviated; the first three letters tell.
+_MONTHS = {
+    "jan": 1, "feb": 2, "mar": 3, "mär": 3, "mrz": 3, "apr": 4, "may": 5, "mai": 5, "jun": 6,
+    "jul": 7, "aug": 8, "sep": 9, "oct": 10, "okt": 10, "nov": 11, "dec": 12, "dez": 12,
+}  # fmt: skip
+_MONTH = rf"(?:{'|'.join(_MONTHS)})[a-zä]{{0,6}}"
+_NAMED = re.compile(rf"(\d{{1,2}})[-/. ]+({_MONTH})[-/. ]+(\d{{4}}|\d{{2}})(?!\d)", re.IGNORECASE)
+# Hours ahead of UTC; those of America as RFC 5322 has them.
+_ZONES = {
+    "UTC": 0, "GMT": 0, "WET": 0, "WEST": 1, "CET": 1, "MET": 1, "MEZ": 1, "CEST": 2, "MEST": 2,
+    "MESZ": 2, "EET": 2, "OEZ": 2, "EEST": 3, "OESZ": 3, "MSK": 3, "EST": -5, "EDT": -4,
+    "CST": -6, "CDT": -5, "MST": -7, "MDT": -6, "PST": -8, "PDT": -7,
+}  # fmt: skip
+_ZONE = r"\s+(?![AaPp][Mm]$)([A-Za-z]{2,5})$"
 _DATE = re.compile(
-    rf"(\d{{4}}[-/.]\d{{1,2}}[-/.]\d{{1,2}}|\d{{1,2}}[-/.]\d{{1,2}}[-/.]\d{{2,4}})"
-    rf"([T\s]+{_CLOCK})?\s*(Z|[+-]\d{{2}}:?\d{{2}})?$"
+    rf"(\d{{4}}[-/.]\d{{1,2}}[-/.]\d{{1,2}}|\d{{1,2}}[-/.]\d{{1,2}}[-/.]\d{{2,4}}|{_NAMED.pattern})"
+    rf"([T\s]+{_CLOCK}({_ZONE})?)?\s*(Z|[+-]\d{{2}}(:?\d{{2}})?)?$",
+    re.IGNORECASE,
 )
 _TIME_OF_DAY = re.compile(rf"{_CLOCK}$")
 _HALF_DAY, _DAY = np.timedelta64(12, "h"), np.timedelta64(1, "D")
@@ -104,6 +119,10 @@ def _over_midnights(clock: np.ndarray) -> tuple[np.ndarray, int]:
 def _dates(key: str, values: Any, first: str, notes: list[str]) -> np.ndarray:
     """Instants as datetime64; day before month where points separate them or nothing else fits."""
     texts = values.astype("string").str.replace(r"(\d),(\d)", r"\1.\2", regex=True).str.strip()
+    texts = _with_offsets(key, texts, notes)
+    named = _NAMED.match(first)
+    if named:
+        texts, first = texts.str.replace(_NAMED, _with_number, regex=True), _with_number(named)
     candidates = _date_orders(texts, first)
     if not candidates:
         texts = _without_words(key, texts, _DATE, notes)
@@ -116,6 +135,58 @@ def _dates(key: str, values: Any, first: str, notes: list[str]) -> np.ndarray:
         return stamps.dt.tz_localize(None).to_numpy().astype("datetime64[ns]")
     notes.append(f"`{key}` begins with a date, but holds something else further down.")
     return values.astype(object).to_numpy()
+
+
+def _with_number(date: re.Match[str]) -> str:
+    """A date with the number of its month in place of the name."""
+    return f"{date[1]}.{_MONTHS[date[2][:3].lower()]}.{date[3]}"
+
+
+def _zones(texts: Any) -> tuple[list[str], bool]:
+    """The words behind dates and times, in capitals, and whether each date has one."""
+    if not texts.str.contains(r"[A-Za-z]{2}$").any():  # fast, for most files
+        return [], True
+    words = texts.str.extract(_ZONE, expand=False).str.upper()
+    if words.isna().all():
+        return [], True
+    dates = texts.str.match(_DATE).fillna(False)
+    return list(words[dates].dropna().unique()), bool(words[dates].notna().all())
+
+
+def zone_problem(key: str, values: Any) -> str:
+    """Why the time zones of a column of dates cannot be told; empty if they can, or it has none.
+
+    Args:
+        key: name of the column.
+        values: a pandas series; missing where a cell is empty.
+    """
+    texts = values.dropna()
+    first = str(texts.iloc[0]).strip() if len(texts) else ""
+    if not _DATE.match(first):
+        return ""
+    words, everywhere = _zones(texts.astype("string").str.strip())
+    if everywhere and (len(words) < 2 or set(words) <= _ZONES.keys()):
+        return ""
+    what = ", ".join(f"`{word}`" for word in words[:5])
+    what = f"the time zones {what}" if everywhere else f"a time zone in some rows only ({what})"
+    return f"`{key}` has {what}: give each time its offset, such as +01:00, or give all in UTC."
+
+
+def _with_offsets(key: str, texts: Any, notes: list[str]) -> Any:
+    """The texts with offsets in place of the names of time zones.
+
+    A single word that is no known zone is left out: time counts from the first stamp.
+    """
+    words, _ = _zones(texts)
+    if not words:
+        return texts
+    if set(words) <= _ZONES.keys():
+        offsets = {word: f"{_ZONES[word]:+03d}:00" for word in words}
+        listed = ", ".join(f"{word} ({offset})" for word, offset in offsets.items())
+        notes.append(f"`{key}` has times of {listed}.")
+        return texts.str.replace(_ZONE, lambda word: f" {offsets[word[1].upper()]}", regex=True)
+    notes.append(f"`{key}` has `{words[0]}` behind all its times: left out.")
+    return texts.str.replace(_ZONE, "", regex=True)
 
 
 def _date_orders(texts: Any, first: str) -> list[tuple[int, Any, bool, Any]]:
@@ -140,7 +211,7 @@ def _date_orders(texts: Any, first: str) -> list[tuple[int, Any, bool, Any]]:
 
 def _without_words(key: str, texts: Any, form: re.Pattern[str], notes: list[str]) -> Any:
     """The texts of a column of stamps, missing where they lack a form that most of them have."""
-    odd = (texts.notna() & ~texts.str.match(form.pattern)).to_numpy(bool)
+    odd = (texts.notna() & ~texts.str.match(form)).to_numpy(bool)
     rows = np.flatnonzero(odd)
     if not 0 < 2 * len(rows) < len(texts):
         return texts

@@ -62,3 +62,69 @@ def test_columns_of_dates_and_times_stay_what_they_are_alone(tmp_path):
     path = written(tmp_path / "run.csv", stamps, "%Y-%m-%d", head="Date")
     assert read_table(path).columns["Date"].dtype.kind == "M"
     assert read_record(path, "Date", (), "y").sample_period == 86400.0
+
+
+@pytest.mark.parametrize(
+    "form", ["%d-%b-%y %H:%M:%S", "%d-%b-%Y %H:%M:%S.0", "%d %B %Y %H:%M", "%d-%b-%Y %I:%M:%S %p"]
+)
+@pytest.mark.parametrize("german", [False, True])
+def test_months_may_have_names(tmp_path, form, german):
+    stamps = pd.date_range("2025-09-27", periods=100, freq="25h20min")
+    path = written(tmp_path / "run.csv", stamps, form, head="Timestamp")
+    words = {"Oct": "Okt", "Dec": "Dez"} if german else {}
+    text = path.read_text()
+    for english, word in words.items():
+        text = text.replace(english, word)
+    path.write_text(text)
+    record = read_record(path, "Timestamp", (), "y")
+    np.testing.assert_allclose(record.time, 91200.0 * np.arange(100))
+
+
+def test_a_first_row_with_a_word_of_a_historian_is_no_header(tmp_path):
+    stamps = pd.date_range("2025-11-27", periods=50, freq="5min")
+    path = written(tmp_path / "run.csv", stamps, "%d-%b-%y %H:%M:%S;5.5", head="Timestamp;T")
+    path.write_text(path.read_text().replace("5.5", "Pt Created", 1).replace(".", ","))
+    table = read_table(path)
+    assert tuple(table.columns) == ("Timestamp", "T", "y")
+    assert len(table.columns["T"]) == 50
+    assert np.isnan(table.columns["T"]).sum() == 1
+
+
+@pytest.mark.parametrize("form", ["%d.%m.%Y %H:%M:%S", "%Y-%m-%d %H:%M", "%d-%b-%y %H:%M"])
+@pytest.mark.parametrize("words", [("CEST", "CET"), ("MESZ", "MEZ")])
+def test_the_name_of_a_time_zone_is_its_offset(tmp_path, form, words):
+    local = pd.date_range("2025-10-25", periods=200, freq="15min", tz="Europe/Berlin")
+    path = written(tmp_path / "run.csv", local, f"{form} %Z", head="Zeit")
+    path.write_text(path.read_text().replace("CEST", words[0]).replace("CET", words[1]))
+    record = read_record(path, "Zeit", (), "y")
+    np.testing.assert_allclose(record.time, 900.0 * np.arange(200))
+    assert f"{words[0]} (+02:00), {words[1]} (+01:00)" in " ".join(read_table(path).notes)
+
+
+def test_a_word_behind_all_times_does_not_matter(tmp_path):
+    stamps = pd.date_range("2025-10-25", periods=50, freq="15min")
+    path = written(tmp_path / "run.csv", stamps, "%d.%m.%Y %H:%M Uhr", head="Zeit")
+    assert read_record(path, "Zeit", (), "y").sample_period == 900.0
+    assert "`Zeit` has `UHR` behind all its times: left out" in " ".join(read_table(path).notes)
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [(("", " UTC"), r"a time zone in some rows only \(`UTC`\)"),
+     ((" AAT", " BBT"), "the time zones `AAT`, `BBT`")],
+)  # fmt: skip
+def test_time_zones_that_cannot_be_told_are_named(tmp_path, words, message):
+    stamps = pd.date_range("2025-10-25", periods=50, freq="15min")
+    path = written(tmp_path / "run.csv", stamps, "%Y-%m-%d %H:%M", head="Zeit")
+    rows = path.read_text().replace(";y", ":y", 1).split(";")
+    ends = [words[0] if k < 20 else words[1] for k in range(50)]
+    text = "".join(f"{row}{end};" for row, end in zip(rows, ends, strict=False)) + rows[-1]
+    path.write_text(text.replace(":y", ";y", 1))
+    with pytest.raises(ValueError, match=f"`time` must be readable .* {message}: .* offset"):
+        read_record(path, "Zeit", (), "y")
+
+
+def test_names_that_do_not_fit_the_columns_are_told(tmp_path):
+    path = tmp_path / "run.txt"
+    path.write_text("t y\n" + "".join(f"{k} {k % 7} {k % 5}\n" for k in range(50)))
+    assert "has 2 names for 3 columns: left out" in " ".join(read_table(path).notes)
