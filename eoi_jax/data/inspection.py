@@ -14,6 +14,7 @@ from jaxtyping import Float
 
 from eoi_jax._checks import RecordWarning, check, check_choice, counted, percent
 from eoi_jax._display import Result, text
+from eoi_jax.data.channel import Channel
 from eoi_jax.data.cleaning import SHORTEST
 from eoi_jax.data.clipping import saturations
 from eoi_jax.data.column_names import (
@@ -26,6 +27,7 @@ from eoi_jax.data.column_names import (
 from eoi_jax.data.input_holds import STAIRCASE
 from eoi_jax.data.readers.delimited import first_word
 from eoi_jax.data.readers.limits import MAX_GIGABYTES
+from eoi_jax.data.readers.long_form import mixed_tags
 from eoi_jax.data.readers.read_record import read_table
 from eoi_jax.data.readers.table import Table
 from eoi_jax.data.readers.words import is_grouped
@@ -42,7 +44,7 @@ from eoi_jax.data.time_axis import (
     seconds_from_first,
     stamped_rows,
 )
-from eoi_jax.data.wrapping import Wrapping, course, wrapping
+from eoi_jax.data.wrapping import course, wrapping
 
 SMOOTH = "it moves smoothly"  # of an output that nothing but its values says to be one
 _PERIODS = frozenset(["ts", "dt", "sampletime", "sampleperiod", "samplingperiod", "samplingtime"])
@@ -63,46 +65,6 @@ class InspectionSettings:
 
 
 _SETTINGS = InspectionSettings()
-
-
-@dataclass(frozen=True)
-class Channel:
-    """One column of a file.
-
-    Attributes:
-        name: as `read_record` takes it.
-        kind: kind of the values: numbers, whole numbers, dates, truth values, text.
-        unit: as the file gives it, or empty.
-        role: guessed role: time, input, output, constant, text or other.
-        why: reason for the role.
-        low, high: smallest and largest value; None for text.
-        missing: number of cells that are empty or not finite.
-        changes: share of steps in which the value changes; None for text.
-        noise: estimated standard deviation of white measurement noise; see `Record.noise`. None
-            for an input that is held.
-        quantum: step of the values, if they are multiples of one step.
-        saturated: level and share of samples of each end at which samples pile up.
-        wraps: how it wraps, as a counter or an angle does; None: it does not. Noise, quantum,
-            saturation and band are then those of the unwrapped values.
-        band: frequency below which 99 % of the power lies [Hz]; None for a constant signal.
-        notes: what a record of this column does about the time stamps.
-    """
-
-    name: str
-    kind: str
-    unit: str = ""
-    role: str = "other"
-    why: str = ""
-    low: float | None = None
-    high: float | None = None
-    missing: int = 0
-    changes: float | None = None
-    noise: float | None = None
-    quantum: float | None = None
-    saturated: tuple[tuple[float, float], ...] = ()
-    band: float | None = None
-    notes: tuple[str, ...] = ()
-    wraps: Wrapping | None = None
 
 
 @dataclass(frozen=True)
@@ -225,7 +187,8 @@ def inspect(
     ]
     local = clock.column and table.columns[clock.column].dtype.kind == "M"
     advice = daylight_saving(numbers[clock.column]) if clock.column and local else []
-    advice = (*unstamped, *advice, *_advice(channels, clock, samples))
+    mixed = mixed_tags(table, clock.column)
+    advice = (*unstamped, *advice, *mixed, *_advice(channels, clock, samples))
     return Inspection(
         path, samples, clock, tuple(channels), (*left_out, *table.objects.values()),
         (*table.notes, *_unit_notes(channels, table)), advice, numbers,

@@ -21,6 +21,7 @@ from eoi_jax.data.readers.delimited import line_of, read_text
 from eoi_jax.data.readers.excel import read_excel
 from eoi_jax.data.readers.hdf5 import read_hdf5
 from eoi_jax.data.readers.limits import MAX_GIGABYTES, Allowance
+from eoi_jax.data.readers.long_form import mixed_tags
 from eoi_jax.data.readers.matlab import read_mat
 from eoi_jax.data.readers.stamps import TIMES_OF_DAY, are_days
 from eoi_jax.data.readers.table import Columns, Table, add_columns
@@ -123,7 +124,7 @@ def read_record(
     count = len(selected[y_columns[0]])
     rows = _rows(slice, count)
     if clock is not None:
-        _check_stamps(path, clock, selected[clock], rows)
+        _check_stamps(path, table, clock, selected[clock], rows)
     new_names = _options_by_column("renames", renames, selected)
     unit_names = _options_by_column("units", units, selected)
     labels = {key: new_names.get(key, key) for key in selected}
@@ -306,14 +307,17 @@ def _place(path: Path, row: int) -> str:
     return f"line {line_of(path, row)}" if is_text else f"row {row}, counted from 0"
 
 
-def _check_stamps(path: Path, clock: str, stamps: np.ndarray, rows: slice) -> None:
-    """All rows that are read must have a stamp."""
+def _check_stamps(path: Path, table: Table, clock: str, stamps: np.ndarray, rows: slice) -> None:
+    """All rows that are read must have a stamp, of one table."""
     missing = rows.start + np.flatnonzero(~np.isfinite(stamps[rows]))
     if len(missing):
         more = f", and in {len(missing) - 1} more" if len(missing) > 1 else ""
         got = f"none in {_place(path, int(missing[0]))}{more}"
         advice = "Take lines that are no sample out, or leave them out by `slice`."
         check(False, f"time[{clock}]", f"must have a stamp in all rows of {path}", got, advice)
+    mixed = " ".join(mixed_tags(table, clock, rows))
+    rule = f"must increase in {path}"
+    check(not mixed, f"time[{clock}]", rule, "stamps of several tags", mixed)
 
 
 def _check_clock(time: str | int | None, sample_period: Real | None) -> None:
