@@ -25,7 +25,7 @@ class Channel:
         wraps: how it wraps, as a counter or an angle does; None: it does not. Noise, quantum,
             saturation and band are then those of the unwrapped values.
         band: frequency below which 99 % of the power lies [Hz]; None for a constant signal.
-        notes: what a record of this column does about the time stamps.
+        notes: what a record of this column does about the time stamps, and where it may be frozen.
     """
 
     name: str

@@ -18,7 +18,9 @@ from eoi_jax.data.channel import Channel
 from eoi_jax.data.cleaning import SHORTEST
 from eoi_jax.data.clipping import saturations
 from eoi_jax.data.column_names import (
+    RATING,
     is_reference,
+    rates_samples,
     role_of_name,
     separate_drives,
     separate_references,
@@ -33,6 +35,7 @@ from eoi_jax.data.readers.table import Table
 from eoi_jax.data.readers.words import is_grouped
 from eoi_jax.data.record import Record
 from eoi_jax.data.resampling import Real
+from eoi_jax.data.standstill import standstill_notes
 from eoi_jax.data.time_axis import (
     NAMED,
     Clock,
@@ -187,8 +190,9 @@ def inspect(
     ]
     local = clock.column and table.columns[clock.column].dtype.kind == "M"
     advice = daylight_saving(numbers[clock.column]) if clock.column and local else []
-    mixed = mixed_tags(table, clock.column)
-    advice = (*unstamped, *advice, *mixed, *_advice(channels, clock, samples))
+    advice += mixed_tags(table, clock.column)
+    advice += [f"`{at.name}` is no signal: {RATING}." for at in channels if at.why == RATING]
+    advice = (*unstamped, *advice, *_advice(channels, clock, samples))
     return Inspection(
         path, samples, clock, tuple(channels), (*left_out, *table.objects.values()),
         (*table.notes, *_unit_notes(channels, table)), advice, numbers,
@@ -350,7 +354,7 @@ def _measured(
         quantum=quantum or None,
         saturated=piles,
         band=band,
-        notes=notes,
+        notes=(*notes, *standstill_notes(name, values[part])),
     )
 
 
@@ -390,7 +394,7 @@ def _assign_roles(
         for channel in channels
     ]
     declared = {**dict.fromkeys(table.inputs, "input"), **dict.fromkeys(table.outputs, "output")}
-    roles = {}
+    roles, ratings = {}, {}
     for channel in clocked:
         if channel.name in declared:
             roles[channel.name] = (declared[channel.name], "the file says so")
@@ -401,6 +405,9 @@ def _assign_roles(
         elif (
             channel.role == "other" and channel.name in numbers and channel.name not in clock.others
         ):
+            if rates_samples(channel.name, numbers, numbers[channel.name]):
+                ratings[channel.name] = "other", RATING
+                continue
             role, why = _role(channel, course(numbers[channel.name], channel.wraps))
             wraps = f"; it {channel.wraps.text}" if channel.wraps and role == "output" else ""
             roles[channel.name] = role, why + wraps
@@ -416,6 +423,7 @@ def _assign_roles(
         )
     separate_drives(roles, {at.name: at.saturated[0][0] for at in channels if at.saturated})
     separate_references(roles, {channel.name for channel in channels if _is_held(channel)})
+    roles |= ratings
     labelled = [
         replace(channel, role=roles[channel.name][0], why=roles[channel.name][1])
         if channel.name in roles
