@@ -1,9 +1,14 @@
 """Tables with the rows of several signals below each other, told apart by a tag."""
 
+import re
+
 import numpy as np
 
 from eoi_jax._checks import counted
 from eoi_jax.data.readers.table import Table
+
+# Not "Tag" alone, which is a day in German.
+_TAG = re.compile(r"(tag|point|signal)[ _.]?(name|id)$|signal$|variable$", re.IGNORECASE)
 
 
 def mixed_tags(
@@ -16,8 +21,9 @@ def mixed_tags(
     """A sentence on the tags whose rows are mixed in a table, and what to do; none if none are.
 
     A column of text holds tags if time repeats or goes back between them, and increases from row to
-    row of each. Of tags one below the other, dates begin anew with each; a logger that was started
-    again counts from zero.
+    row of each; or if its name says so and they alternate, since stamps of changes need not repeat.
+    Of tags one below the other, dates begin anew with each; a logger that was started again counts
+    from zero.
 
     Args:
         table: contents of a file.
@@ -36,10 +42,9 @@ def mixed_tags(
     zero = np.zeros(1, steps.dtype)
     repeats = np.sum(steps <= zero) >= max(fewest_repeats * len(steps), 1)
     restarts = stamps.dtype.kind == "M" and np.any(2 * -steps > np.ptp(stamps))
-    if not (repeats or restarts):
-        return []
     for key, column in table.columns.items():
-        if column.dtype.kind != "O" or len(column) != len(table.columns[clock]):
+        is_text = column.dtype.kind == "O" and len(column) == len(table.columns[clock])
+        if not (is_text and (repeats or restarts or _TAG.match(key))):
             continue
         tags = np.asarray(list(map(str, column[rows])))
         tags = tags[::-1] if backwards else tags

@@ -316,7 +316,7 @@ def _check_stamps(path: Path, table: Table, clock: str, stamps: np.ndarray, rows
         advice = "Take lines that are no sample out, or leave them out by `slice`."
         check(False, f"time[{clock}]", f"must have a stamp in all rows of {path}", got, advice)
     mixed = " ".join(mixed_tags(table, clock, rows))
-    rule = f"must increase in {path}"
+    rule = f"must be the clock of one set of signals in {path}"
     check(not mixed, f"time[{clock}]", rule, "stamps of several tags", mixed)
 
 

@@ -27,7 +27,7 @@ def long_form(path, order, tags=("level", "valve"), ascending=True, stamps=STAMP
 def test_rows_of_several_tags_are_told_with_what_to_do(tmp_path, order, ascending):
     path = long_form(tmp_path / "log.csv", order, ascending=ascending)
     said = r"The rows of 2 tags are mixed, which `Tag` tells apart \(.*: give each a column .*pivot"
-    with pytest.raises(ValueError, match=rf"`time\[Time\]` must increase .* {said}"):
+    with pytest.raises(ValueError, match=rf"`time\[Time\]` must be the clock of one .* {said}"):
         read_record(path, "Time", (), "Value")
     assert "rows of 2 tags are mixed" in " ".join(inspect(path).advice)
 
@@ -52,3 +52,11 @@ def test_an_hour_twice_is_no_tag_of_its_own(tmp_path):
     pd.DataFrame({"t": text, "season": season, "y": np.sin(0.1 * np.arange(200))}).to_csv(path)
     with pytest.raises(ValueError, match="daylight saving time"):
         read_record(path, "t", (), "y")
+
+
+@pytest.mark.parametrize(("name", "is_tag"), [("TagName", True), ("Tag", False)])
+def test_stamps_of_changes_need_not_repeat(tmp_path, name, is_tag):
+    path = tmp_path / "log.csv"
+    tags = np.where(np.arange(100) % 3 == 0, "level", "valve")
+    pd.DataFrame({"t": 0.1 * np.arange(100), name: tags, "Value": SIGNAL}).to_csv(path, index=False)
+    assert ("tags are mixed" in " ".join(inspect(path).advice)) == is_tag
