@@ -1,6 +1,7 @@
 """Inputs that are logged only when they change, or seldom."""
 
 import warnings
+from typing import Any
 
 import numpy as np
 import pytest
@@ -21,7 +22,7 @@ def seldom(values, step, first=0):
     return np.where(rows, values, np.nan)
 
 
-def record_of(u, hold, rows=slice(None), time=TIME):
+def record_of(u, hold, rows: Any = slice(None), time=TIME):
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", eoi.RecordWarning)
         names = ["valve", "weather"][: np.atleast_2d(u.T).shape[0]]

@@ -1,5 +1,7 @@
 """Rows of several tags below each other are told from other times that do not increase."""
 
+from typing import Any
+
 import numpy as np
 import pandas as pd
 import pytest
@@ -11,7 +13,7 @@ STAMPS = pd.date_range("2025-11-29", periods=100, freq="5min")
 SIGNAL = np.sin(0.2 * np.arange(100))
 
 
-def long_form(path, order, tags=("level", "valve"), ascending=True, stamps=STAMPS):
+def long_form(path, order, tags=("level", "valve"), ascending=True, stamps: Any = STAMPS):
     frames = [
         pd.DataFrame({"Time": stamps[k :: k + 1], "Tag": tag, "Value": SIGNAL[k :: k + 1] + k})
         for k, tag in enumerate(tags)

@@ -29,7 +29,7 @@ def test_times_of_day_are_of_the_dates_beside_them(tmp_path, form):
     assert inspection.clock.column == "Time"
     assert inspection.clock.gaps == (1, 2 * 86400 + 900.0)
     record = read_record(path, "Time", (), "y")
-    expected = (stamps[-1] - stamps[0]).total_seconds()
+    expected = (stamps[-1] - stamps[0]) / pd.Timedelta("1s")
     assert record.time[-1] == expected
     assert record.valid.sum() == len(stamps)
     assert "combined with the dates of `Date`" in " ".join(record.notes)
