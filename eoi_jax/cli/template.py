@@ -15,8 +15,9 @@ from eoi_jax._checks import check
 from eoi_jax.cli import config
 from eoi_jax.cli.build import DATA_VARIABLE
 from eoi_jax.cli.terminal import shell_word
+from eoi_jax.data.channel import Channel
 from eoi_jax.data.column_names import stem
-from eoi_jax.data.inspection import SMOOTH, Channel, Inspection, InspectionSettings
+from eoi_jax.data.inspection import SMOOTH, Inspection, InspectionSettings
 from eoi_jax.data.record import Record
 from eoi_jax.data.resampling import low_pass
 from eoi_jax.data.wrapping import JUMPS, course

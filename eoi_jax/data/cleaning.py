@@ -14,7 +14,7 @@ from eoi_jax._checks import check, check_choice, check_kind, counted, is_or_are,
 from eoi_jax._types import Inputs, Mask, OutputMask, Outputs, Signals, TimeAxis
 from eoi_jax.compiler.jax_private import Tracer
 from eoi_jax.data.glitches import without_faults
-from eoi_jax.data.input_holds import Columns, Hold, by_hold, hold_of_each, hold_text
+from eoi_jax.data.input_holds import SELDOM, Hold, hold_of_each, hold_text
 from eoi_jax.data.noise import white_noise
 from eoi_jax.data.resampling import (
     Grid,
@@ -22,9 +22,8 @@ from eoi_jax.data.resampling import (
     Segments,
     covered,
     fill,
-    held_means,
-    hold_inputs,
     holes,
+    inputs_on_grid,
     own_period,
     own_segments,
     runs,
@@ -266,8 +265,8 @@ def scored_samples(
         notes.append(f"{share} not finite ({listed}): masked.")
     if mask_faults:
         y_good = without_faults(y, y_good, u, y_names, notes)
-    counts = {key: int(column.sum()) for key, column in zip(y_names, y_good.T, strict=True)}
-    counts |= {", ".join(u_names): int(u_good.sum())} if u_names else {}
+    used = np.hstack([finite[:, : len(u_names)], y_good])
+    counts = {key: int(column.sum()) for key, column in zip(names, used.T, strict=True)}
     fewest = min(counts, key=lambda key: counts[key])
     check(
         counts[fewest] >= SHORTEST,
@@ -275,6 +274,10 @@ def scored_samples(
         f"must have at least {SHORTEST} finite samples of every channel",
         f"{counts[fewest]} of {fewest}",
     )
+    rows = int(u_good.sum())
+    listed = ", ".join(f"{key} has {counts[key]}" for key in u_names)
+    check(rows >= SHORTEST, "inputs", f"must have values in the same row at least {SHORTEST} times",
+          f"{counted(rows, 'such row')} ({listed})", SELDOM)  # fmt: skip
     return u_good, y_good
 
 
@@ -358,10 +361,12 @@ def place(
     good: tuple[Mask, OutputMask],
     notes: list[str],
     hold: Hold = "zero",
+    reach: float = 0.0,
 ) -> OnGrid:
     """Samples that lie on the grid are copied; missing ones are filled in and masked.
 
-    Between stamps without a usual spacing nothing is missing: inputs follow their hold.
+    Between stamps without a usual spacing nothing is missing: inputs follow their hold. So they do
+    in gaps up to `reach` [s].
     """
     count = grid.time.size
     if grid.scattered:
@@ -378,7 +383,12 @@ def place(
         return u, y, inputs_known, measured
     query = np.arange(count, dtype=float)
     position = index.astype(float)
-    return fill(position, u, query), fill(position, y, query), inputs_known, measured
+    outputs = fill(position, y, query)
+    if not reach:
+        return fill(position, u, query), outputs, inputs_known, measured
+    segments = runs(good[0], grid.sample_period * np.diff(index) <= reach)
+    inputs = inputs_on_grid(position, u, segments, query, hold)
+    return inputs, outputs, covered(position, segments, query), measured
 
 
 def _scattered(
@@ -406,11 +416,7 @@ def _scattered(
     )
     if np.any(gaps):
         notes.append(_UNKNOWN.format(f"{spacing[gaps].sum():g} s", counted(int(gaps.sum()), "gap")))
-
-    def on_grid(word: str, columns: Columns) -> np.ndarray:
-        return hold_inputs(position, u_finite[:, columns], segments, query, word)
-
-    inputs = by_hold(hold, u_finite, on_grid)
+    inputs = inputs_on_grid(position, u, segments, query, hold)
     return inputs, fill(position, y, query), covered(position, segments, query), measured
 
 
@@ -423,15 +429,18 @@ def interpolate(
     hold: Hold,
     notes: list[str],
     names: tuple[str, ...],
+    reach: float = 0.0,
 ) -> OnGrid:
     """Samples that lie between grid points are interpolated, segment by segment.
 
     An output with a rate of its own is interpolated through its own samples, and counts as measured
-    at the grid points next to them.
+    at the grid points next to them. Inputs follow their hold in gaps up to `reach` [s].
     """
     h = grid.sample_period
     known_rows, measured_rows = good
     position, query, segments = _grid_positions(grid, stamps, known_rows)
+    if reach:
+        segments = runs(known_rows, np.diff(stamps) <= max(reach, GridSettings.gap * h))
     inputs_known = covered(position, segments, query)
     outputs = np.zeros((query.size, y.shape[1]))
     measured = np.zeros((query.size, y.shape[1]), dtype=bool)
@@ -462,14 +471,7 @@ def interpolate(
         f"{stamps.size} samples to {query.size} at {h:g} s, outputs by a cubic spline, inputs by "
         f"{by}{masked}."
     )
-    u_finite = fill(position, u, position)
-
-    def on_grid(word: str, columns: Columns) -> np.ndarray:
-        if word == "zero":
-            return held_means(position, u_finite[:, columns], query.size)
-        return hold_inputs(position, u_finite[:, columns], segments, query, word)
-
-    inputs = by_hold(hold, u_finite, on_grid)
+    inputs = inputs_on_grid(position, u, segments, query, hold, averaged=True)
     return inputs, outputs, inputs_known, measured
 
 

@@ -1,6 +1,9 @@
 """What the name of a column says of it: its words, and the role that they stand for."""
 
 import re
+from collections.abc import Iterable
+
+import numpy as np
 
 _INPUT = frozenset((
     "u", "in", "input", "inputs", "volt", "volts", "voltage", "cmd", "command", "pwm", "duty",
@@ -48,7 +51,7 @@ def stem(name: str) -> str:
     Args:
         name: any text; one with spaces is no path.
     """
-    plain = re.sub(r"[\[(].*", "", name).strip()
+    plain = _without_unit(name)
     return plain if " " in plain else re.split(r"[./]", plain)[-1]
 
 
@@ -64,6 +67,35 @@ def is_reference(name: str) -> bool:
 def _words(name: str) -> list[str]:
     """The words of a name without path and unit: motor, voltage of ``log.motorVoltage_2 [V]``."""
     return [word.lower() for word in re.findall(r"[A-Z]?[a-zµ]+|[A-Z]+", stem(name))]
+
+
+# What an OPC server or a historian says of a sample of another column.
+_RATING = re.compile(r"(quality|qualität|qualitaet|flags?|valid|validity|status)$", re.IGNORECASE)
+RATING = "it rates the samples of another column; those that are bad are not masked"
+
+
+def rates_samples(name: str, names: Iterable[str], values: np.ndarray, good: float = 192.0) -> bool:
+    """Whether a column says how good the samples of another one are: `T.quality` beside `T`.
+
+    A status may also be that of a pump, which is an input.
+
+    Args:
+        name: of the column.
+        names: of all columns.
+        values: of the column.
+        good: code of good samples, that of OPC.
+    """
+    match = _RATING.search(_without_unit(name))
+    if match is None:
+        return False
+    rated = match.string[: match.start()].rstrip(" ._-/:")
+    is_code = 2 * np.sum(values == good) > len(values)
+    is_alone = not rated and match[1].lower() != "status"
+    return bool(is_code) or is_alone or rated in map(_without_unit, names)
+
+
+def _without_unit(name: str) -> str:
+    return re.sub(r"[\[(].*", "", name).strip()
 
 
 def _may_answer(name: str) -> bool:

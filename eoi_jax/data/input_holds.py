@@ -15,6 +15,10 @@ from eoi_jax._types import Signals
 HOLDS = ("zero", "linear", "smooth")
 TRACED_HOLDS = HOLDS[:2]  # those that JAX's arrays may have: no spline
 HOLD_TAKEN = "Hold taken as"  # how a note on a hold that the samples suggest begins
+SELDOM = (
+    'Where an input is logged only when it changes, or seldom, declare its `hold`: "zero" keeps '
+    'each value up to the next, "linear" goes straight to it.'
+)
 STAIRCASE = 0.2  # share of steps that may change a held input's value
 
 Hold: TypeAlias = str | tuple[str, ...]  # of all inputs, or of each

@@ -14,10 +14,13 @@ from jaxtyping import Float
 
 from eoi_jax._checks import RecordWarning, check, check_choice, counted, percent
 from eoi_jax._display import Result, text
+from eoi_jax.data.channel import Channel
 from eoi_jax.data.cleaning import SHORTEST
 from eoi_jax.data.clipping import saturations
 from eoi_jax.data.column_names import (
+    RATING,
     is_reference,
+    rates_samples,
     role_of_name,
     separate_drives,
     separate_references,
@@ -26,11 +29,13 @@ from eoi_jax.data.column_names import (
 from eoi_jax.data.input_holds import STAIRCASE
 from eoi_jax.data.readers.delimited import first_word
 from eoi_jax.data.readers.limits import MAX_GIGABYTES
+from eoi_jax.data.readers.long_form import mixed_tags
 from eoi_jax.data.readers.read_record import read_table
 from eoi_jax.data.readers.table import Table
 from eoi_jax.data.readers.words import is_grouped
 from eoi_jax.data.record import Record
 from eoi_jax.data.resampling import Real
+from eoi_jax.data.standstill import standstill_notes
 from eoi_jax.data.time_axis import (
     NAMED,
     Clock,
@@ -42,7 +47,7 @@ from eoi_jax.data.time_axis import (
     seconds_from_first,
     stamped_rows,
 )
-from eoi_jax.data.wrapping import Wrapping, course, wrapping
+from eoi_jax.data.wrapping import course, wrapping
 
 SMOOTH = "it moves smoothly"  # of an output that nothing but its values says to be one
 _PERIODS = frozenset(["ts", "dt", "sampletime", "sampleperiod", "samplingperiod", "samplingtime"])
@@ -63,46 +68,6 @@ class InspectionSettings:
 
 
 _SETTINGS = InspectionSettings()
-
-
-@dataclass(frozen=True)
-class Channel:
-    """One column of a file.
-
-    Attributes:
-        name: as `read_record` takes it.
-        kind: kind of the values: numbers, whole numbers, dates, truth values, text.
-        unit: as the file gives it, or empty.
-        role: guessed role: time, input, output, constant, text or other.
-        why: reason for the role.
-        low, high: smallest and largest value; None for text.
-        missing: number of cells that are empty or not finite.
-        changes: share of steps in which the value changes; None for text.
-        noise: estimated standard deviation of white measurement noise; see `Record.noise`. None
-            for an input that is held.
-        quantum: step of the values, if they are multiples of one step.
-        saturated: level and share of samples of each end at which samples pile up.
-        wraps: how it wraps, as a counter or an angle does; None: it does not. Noise, quantum,
-            saturation and band are then those of the unwrapped values.
-        band: frequency below which 99 % of the power lies [Hz]; None for a constant signal.
-        notes: what a record of this column does about the time stamps.
-    """
-
-    name: str
-    kind: str
-    unit: str = ""
-    role: str = "other"
-    why: str = ""
-    low: float | None = None
-    high: float | None = None
-    missing: int = 0
-    changes: float | None = None
-    noise: float | None = None
-    quantum: float | None = None
-    saturated: tuple[tuple[float, float], ...] = ()
-    band: float | None = None
-    notes: tuple[str, ...] = ()
-    wraps: Wrapping | None = None
 
 
 @dataclass(frozen=True)
@@ -225,6 +190,8 @@ def inspect(
     ]
     local = clock.column and table.columns[clock.column].dtype.kind == "M"
     advice = daylight_saving(numbers[clock.column]) if clock.column and local else []
+    advice += mixed_tags(table, clock.column)
+    advice += [f"`{at.name}` is no signal: {RATING}." for at in channels if at.why == RATING]
     advice = (*unstamped, *advice, *_advice(channels, clock, samples))
     return Inspection(
         path, samples, clock, tuple(channels), (*left_out, *table.objects.values()),
@@ -387,7 +354,7 @@ def _measured(
         quantum=quantum or None,
         saturated=piles,
         band=band,
-        notes=notes,
+        notes=(*notes, *standstill_notes(name, values[part])),
     )
 
 
@@ -427,7 +394,7 @@ def _assign_roles(
         for channel in channels
     ]
     declared = {**dict.fromkeys(table.inputs, "input"), **dict.fromkeys(table.outputs, "output")}
-    roles = {}
+    roles, ratings = {}, {}
     for channel in clocked:
         if channel.name in declared:
             roles[channel.name] = (declared[channel.name], "the file says so")
@@ -438,6 +405,9 @@ def _assign_roles(
         elif (
             channel.role == "other" and channel.name in numbers and channel.name not in clock.others
         ):
+            if rates_samples(channel.name, numbers, numbers[channel.name]):
+                ratings[channel.name] = "other", RATING
+                continue
             role, why = _role(channel, course(numbers[channel.name], channel.wraps))
             wraps = f"; it {channel.wraps.text}" if channel.wraps and role == "output" else ""
             roles[channel.name] = role, why + wraps
@@ -453,6 +423,7 @@ def _assign_roles(
         )
     separate_drives(roles, {at.name: at.saturated[0][0] for at in channels if at.saturated})
     separate_references(roles, {channel.name for channel in channels if _is_held(channel)})
+    roles |= ratings
     labelled = [
         replace(channel, role=roles[channel.name][0], why=roles[channel.name][1])
         if channel.name in roles

@@ -62,6 +62,7 @@ from eoi_jax.data.resampling import (
     sub_stepped,
     uniform_grid,
 )
+from eoi_jax.data.sparse_inputs import between_entries
 from eoi_jax.data.unwrapping import checked_periods, unwrapped_channels
 from eoi_jax.data.wrapping import wrap_notes
 
@@ -84,8 +85,9 @@ class Record(Result):
     it is unknown, and simulations start again behind it. A missing sample of an input leaves no
     doubt, and counts as known, in a gap of one or two samples of a held input (``"zero"``) with the
     same value on both sides, and as a single sample of another input between two measured ones. An
-    output that is measured at every second sample or less often has a rate of its own: free runs
-    are scored at its samples, and passes interpolate it (`bridged`).
+    input that has a value at every second sample or less often, as in a log of changes, follows its
+    hold in between if that is declared. An output that is measured so seldom has a rate of its own:
+    free runs are scored at its samples, and passes interpolate it (`bridged`).
 
     Args:
         time: stamps (N,) [s], increasing; datetimes count in seconds from the first.
@@ -179,17 +181,18 @@ class Record(Result):
         check_labels(u_names, y_names, dict(units or {}))
         notes: list[str] = []  # these also give warnings; the choice of a hold does not
         stamps, u, y = drop_repeats(stamps, u, y, notes)
+        u, reach = between_entries(stamps, u, u_names, hold, notes)
         good = scored_samples(u_names, y_names, u, y, mask_faults, notes)
         input_hold, hold_notes = declared_or_suggested(hold, u[good[0]], u_names)
         grid = uniform_grid(stamps)
         noise = quantum = None
         if grid.index is None:
-            arrays = interpolate(grid, stamps, u, y, good, input_hold, notes, u_names)
+            arrays = interpolate(grid, stamps, u, y, good, input_hold, notes, u_names, reach)
             quantum = quanta(y, good[1])  # interpolation hides the steps and the noise
             notes += wrap_notes(y_names, y, good[1])  # of jumps that an interpolation divides
             noise = interpolated_noise(grid, stamps, y, arrays[1], good[1], arrays[3], quantum)
         else:
-            arrays = place(grid, grid.index, u, y, good, notes, input_hold)
+            arrays = place(grid, grid.index, u, y, good, notes, input_hold, reach)
         inputs, outputs, u_valid, measured = arrays
         count = int(np.min(measured.sum(axis=0)))
         check(count >= SHORTEST, "outputs", f"must have at least {SHORTEST} valid samples", count)

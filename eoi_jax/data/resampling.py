@@ -271,6 +271,34 @@ def hold_inputs(
     return inputs[np.clip(last, 0, len(inputs) - 1)]
 
 
+def inputs_on_grid(
+    position: Float[np.ndarray, " stamps"],
+    inputs: Float[np.ndarray, "stamps nu"],
+    segments: Segments,
+    query: Float[np.ndarray, " points"],
+    hold: Hold,
+    averaged: bool = False,
+) -> Float[np.ndarray, "points nu"]:
+    """Inputs at grid points, each by its hold between its stamps.
+
+    Args:
+        position: of the stamps, increasing [grid steps].
+        inputs: at the stamps; missing values are filled in linearly.
+        segments: runs (start, stop) of stamps without a gap.
+        query: the grid points [grid steps].
+        hold: of the inputs.
+        averaged: whether held inputs are their means over each step, for stamps off the grid.
+    """
+    finite = fill(position, inputs, position)
+
+    def values(word: str, columns: Columns) -> np.ndarray:
+        if averaged and word == "zero":
+            return held_means(position, finite[:, columns], query.size)
+        return hold_inputs(position, finite[:, columns], segments, query, word)
+
+    return by_hold(hold, finite, values)
+
+
 def sub_stepped_inputs(
     inputs: Float[np.ndarray, "time nu"], segments: Segments, count: int, hold: Hold
 ) -> Float[np.ndarray, "points nu"]:

@@ -6,7 +6,8 @@ import numpy as np
 from jaxtyping import Float
 
 from eoi_jax._checks import counted, percent, printable
-from eoi_jax.data.inspection import Channel, Inspection, InspectionSettings
+from eoi_jax.data.channel import Channel
+from eoi_jax.data.inspection import Inspection, InspectionSettings
 from eoi_jax.report.decimate import decimate
 from eoi_jax.report.tables import columns
 

@@ -734,3 +734,18 @@ def test_a_draft_offers_the_hold_of_inputs_that_keep_their_values(tmp_path):
     data = config.load(target).data
     assert data is not None
     assert data.hold == {"heating": "zero"}
+
+
+@pytest.mark.parametrize("name", ["speed.quality", "speed Status", "quality", "speed_flag"])
+def test_what_rates_the_samples_of_a_column_is_no_input(tmp_path, name):
+    rating = np.where((T > 2.0) & (T < 2.5), 0.0, 1.0)
+    found = inspect(written(tmp_path / "run.csv", t=T, u=U, **{"speed": Y, name: rating}))
+    assert (found.inputs, found.outputs) == (("u",), ("speed",))
+    assert f"`{name}` is no signal: it rates the samples" in " ".join(found.advice)
+
+
+def test_codes_of_quality_are_known_by_their_value_and_a_status_may_be_an_input(tmp_path):
+    for good, inputs in ((192.0, ("u",)), (1.0, ("u", "pump status"))):
+        status = np.where((T > 2.0) & (T < 2.5), 0.0, good)
+        columns = {"t": T, "u": U, "speed": Y, "pump status": status}
+        assert inspect(written(tmp_path / "run.csv", **columns)).inputs == inputs

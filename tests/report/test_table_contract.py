@@ -19,7 +19,8 @@ import eoi_jax as eoi
 from eoi_jax import effects
 from eoi_jax._status import Status
 from eoi_jax.comparison.result import Comparison, Entry
-from eoi_jax.data.inspection import Channel, Inspection
+from eoi_jax.data.channel import Channel
+from eoi_jax.data.inspection import Inspection
 from eoi_jax.data.time_axis import Clock
 from eoi_jax.estimation.covariance import Certainty, computed
 from eoi_jax.models.augmented import place

@@ -22,6 +22,7 @@ import numpy as np
 
 from eoi_jax._checks import counted
 from eoi_jax.data.readers.limits import PIECE, Allowance
+from eoi_jax.data.readers.stamps import is_stamp, on_their_days, read_stamps, zone_problem
 from eoi_jax.data.readers.table import Columns, Table
 from eoi_jax.data.readers.words import without_unit, without_words
 
@@ -35,12 +36,6 @@ _NO_VALUE = (
 _EMPTY = {word.lower() for word in _NO_VALUE}
 _POINT = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eEdD][+-]?\d+)?$|[+-]?inf(inity)?$", re.IGNORECASE)
 _COMMA = re.compile(r"[+-]?(\d+,\d+|,\d+)([eE][+-]?\d+)?$")
-_CLOCK = r"\d{1,2}:\d{2}(:\d{2}([.,]\d+)?)?\s*([AaPp][Mm])?"
-_DATE = re.compile(
-    rf"(\d{{4}}[-/.]\d{{1,2}}[-/.]\d{{1,2}}|\d{{1,2}}[-/.]\d{{1,2}}[-/.]\d{{2,4}})"
-    rf"([T\s]+{_CLOCK})?\s*(Z|[+-]\d{{2}}:?\d{{2}})?$"
-)
-_TIME_OF_DAY = re.compile(rf"{_CLOCK}$")
 # First bytes of files that are not text, whatever their name.
 _KINDS = (
     (b"\x89PNG", "a PNG picture"),
@@ -193,6 +188,9 @@ def _read(source: Any, lines: Sequence[str], encoding: str, separator: str | Non
     if repeated:
         names_text = ", ".join(repeated[:5])
         raise ValueError(f"its header repeats a name: {names_text}; give each column its own name")
+    if names and not fits:
+        what = f"{counted(len(names), 'name')} for {counted(frame.shape[1], 'column')}"
+        notes.append(f"The header has {what}: left out, and the columns are numbered from 0.")
     units = {key: unit for key, unit in zip(keys, layout.units, strict=False) if unit and fits}
     columns: Columns = {}
     objects: dict[str, str] = {}
@@ -204,10 +202,15 @@ def _read(source: Any, lines: Sequence[str], encoding: str, separator: str | Non
                 "thousands separators, and with decimal commas throughout."
             )
             continue
+        problem = zone_problem(key, frame[i])
+        if problem:
+            objects[key] = problem
+            continue
         columns[key] = _column(key, frame[i], layout.decimal, notes)
         if columns[key].dtype.kind == "O":
             columns[key], unit = without_unit(columns[key])
             units |= {key: unit} if unit else {}
+    columns = on_their_days(columns, notes)
     return Table(columns, {**_named_units(keys), **units}, tuple(notes), objects)
 
 
@@ -229,10 +232,8 @@ def _column(key: str, values: Any, decimal: str, notes: list[str]) -> np.ndarray
         return values.to_numpy()
     texts = values.dropna()
     first = str(texts.iloc[0]).strip() if len(texts) else ""
-    if _DATE.match(first):
-        return _dates(key, values, first, notes)
-    if _TIME_OF_DAY.match(first):
-        return _times_of_day(key, values, notes)
+    if is_stamp(first):
+        return read_stamps(key, values, first, notes)
     array = values.astype(object).where(values.notna(), None).to_numpy()
     if decimal == ",":  # a cell that is no number keeps pandas from converting the column
         array = np.asarray([_with_decimal_point(cell) for cell in array], dtype=object)
@@ -249,88 +250,6 @@ def _thousands(values: Any) -> str:
 
 def _with_decimal_point(cell: Any) -> Any:
     return cell.replace(",", ".") if isinstance(cell, str) and _COMMA.match(cell.strip()) else cell
-
-
-def _dates(key: str, values: Any, first: str, notes: list[str]) -> np.ndarray:
-    """Instants as datetime64; day before month where points separate them or nothing else fits."""
-    texts = values.astype("string").str.replace(r"(\d),(\d)", r"\1.\2", regex=True).str.strip()
-    candidates = _date_orders(texts, first)
-    if not candidates:
-        texts = _without_words(key, texts, _DATE, notes)
-        candidates = _date_orders(texts, first)
-    if candidates:  # the order with fewest reversals and the shortest span
-        _, _, day_first, stamps = min(candidates, key=lambda candidate: candidate[:3])
-        year_first = bool(re.match(r"\d{4}", first))
-        order = "year, month, day" if year_first else "day, month" if day_first else "month, day"
-        notes.append(f"`{key}` holds dates, read in the order {order}.")
-        return stamps.dt.tz_localize(None).to_numpy().astype("datetime64[ns]")
-    notes.append(f"`{key}` begins with a date, but holds something else further down.")
-    return values.astype(object).to_numpy()
-
-
-def _date_orders(texts: Any, first: str) -> list[tuple[int, Any, bool, Any]]:
-    """Reversals of time, span and stamps with each order of day and month that fits all texts."""
-    import pandas as pd
-
-    year_first = bool(re.match(r"\d{4}", first))
-    candidates = []
-    for day_first in [False] if year_first else [True] if "." in first[:6] else [False, True]:
-        for form in (None, "mixed"):  # a common format is read much faster
-            try:
-                with warnings.catch_warnings():  # on the ambiguous order
-                    warnings.simplefilter("ignore", UserWarning)
-                    stamps = pd.to_datetime(texts, dayfirst=day_first, format=form, utc=True)
-            except (ValueError, TypeError):
-                continue
-            reversals = int((stamps.diff().dt.total_seconds() < 0).sum())
-            candidates.append((reversals, stamps.max() - stamps.min(), day_first, stamps))
-            break
-    return candidates
-
-
-def _without_words(key: str, texts: Any, form: re.Pattern[str], notes: list[str]) -> Any:
-    """The texts of a column of stamps, missing where they lack a form that most of them have."""
-    odd = (texts.notna() & ~texts.str.match(form.pattern)).to_numpy(bool)
-    rows = np.flatnonzero(odd)
-    if not 0 < 2 * len(rows) < len(texts):
-        return texts
-    what = f"{texts.iloc[rows[0]]!r} in row {rows[0]}, counted from 0"
-    more = f", and {len(rows) - 1} more such" if len(rows) > 1 else ""
-    notes.append(f"`{key}` has no stamp where it holds {what}{more}.")
-    return texts.mask(odd)
-
-
-def _times_of_day(key: str, values: Any, notes: list[str]) -> np.ndarray:
-    """Times of day as timedelta64, going on over midnight."""
-    texts = values.astype("string").str.replace(",", ".").str.strip()
-    elapsed = _elapsed(texts)
-    if elapsed is None:
-        elapsed = _elapsed(_without_words(key, texts, _TIME_OF_DAY, notes))
-    if elapsed is None:
-        notes.append(f"`{key}` begins with a time of day, but holds something else further down.")
-        return values.astype(object).to_numpy()
-    elapsed = elapsed.astype("timedelta64[ns]")
-    half_day, day = np.timedelta64(12, "h"), np.timedelta64(1, "D")
-    (known,) = np.nonzero(~np.isnat(elapsed))
-    nights = np.cumsum(np.diff(elapsed[known], prepend=elapsed[known[:1]]) < -half_day)
-    midnights = f", over {counted(nights[-1], 'midnight')}" if nights[-1] else ""
-    notes.append(f"`{key}` holds times of day, read as elapsed time{midnights}.")
-    elapsed[known] += nights * day
-    return elapsed
-
-
-def _elapsed(texts: Any) -> np.ndarray | None:
-    """Times since midnight; None where a text is no time of day."""
-    import pandas as pd
-
-    short = texts.str.count(":") == 1
-    try:
-        if texts.str.contains("m", case=False).any():
-            clock = pd.to_datetime("2000-01-01 " + texts, format="mixed")
-            return (clock - pd.Timestamp("2000-01-01")).to_numpy()
-        return pd.to_timedelta(texts.where(~short, texts + ":00")).to_numpy()
-    except (ValueError, TypeError):
-        return None
 
 
 # -- layout -------------------------------------------------------------------------------
@@ -458,7 +377,7 @@ def _has_data(cells: list[str], below: list[str], width: int, value_columns: lis
     if len(cells) != width or len(below) != width or not columns:
         return False
     first, next_first = cells[columns[0]], below[columns[0]]
-    if _is_date(first) and _is_date(next_first):
+    if is_stamp(first) and is_stamp(next_first):
         return True
     values = sum(_is_value(cells[j]) and cells[j].lower() not in _EMPTY for j in columns)
     return 2 * values >= len(columns) and _as_number(first) < _as_number(next_first)
@@ -470,14 +389,10 @@ def _as_number(cell: str) -> float:
     return float(cell.replace(",", ".").upper().replace("D", "E")) if is_number else float("nan")
 
 
-def _is_date(cell: str) -> bool:
-    return bool(_DATE.match(cell) or _TIME_OF_DAY.match(cell))
-
-
 def _is_value(cell: str) -> bool:
     text = cell.strip()
     return (
-        text.lower() in _EMPTY or bool(_POINT.match(text) or _COMMA.match(text)) or _is_date(text)
+        text.lower() in _EMPTY or bool(_POINT.match(text) or _COMMA.match(text)) or is_stamp(text)
     )
 
 

@@ -21,7 +21,9 @@ from eoi_jax.data.readers.delimited import line_of, read_text
 from eoi_jax.data.readers.excel import read_excel
 from eoi_jax.data.readers.hdf5 import read_hdf5
 from eoi_jax.data.readers.limits import MAX_GIGABYTES, Allowance
+from eoi_jax.data.readers.long_form import mixed_tags
 from eoi_jax.data.readers.matlab import read_mat
+from eoi_jax.data.readers.stamps import TIMES_OF_DAY, are_days
 from eoi_jax.data.readers.table import Columns, Table, add_columns
 from eoi_jax.data.readers.words import is_grouped
 from eoi_jax.data.record import Record
@@ -61,7 +63,8 @@ def read_record(
     or none: columns are then called ``0``, ``1``, …, or by the numbers 0, 1, …), .parquet, .mat
     (any version), .h5, .hdf5, .npz, .xlsx (with openpyxl). Structures and groups are reached as
     ``structure.field`` in .mat and ``group/name`` in .h5; column 2 of a matrix as ``name[2]``,
-    counted from 0. Columns of dates and times of day count in seconds from the first.
+    counted from 0. Columns of dates and times of day count in seconds from the first; times of day
+    are of the dates in another column, if there is one.
 
     A file that declares its inputs, outputs and time, as an `iddata` in a .mat file does, needs no
     names: ``read_record("run.mat")``. Its `InterSample` is then the hold; with names of columns it
@@ -121,7 +124,7 @@ def read_record(
     count = len(selected[y_columns[0]])
     rows = _rows(slice, count)
     if clock is not None:
-        _check_stamps(path, clock, selected[clock], rows)
+        _check_stamps(path, table, clock, selected[clock], rows)
     new_names = _options_by_column("renames", renames, selected)
     unit_names = _options_by_column("units", units, selected)
     labels = {key: new_names.get(key, key) for key in selected}
@@ -304,14 +307,17 @@ def _place(path: Path, row: int) -> str:
     return f"line {line_of(path, row)}" if is_text else f"row {row}, counted from 0"
 
 
-def _check_stamps(path: Path, clock: str, stamps: np.ndarray, rows: slice) -> None:
-    """All rows that are read must have a stamp."""
+def _check_stamps(path: Path, table: Table, clock: str, stamps: np.ndarray, rows: slice) -> None:
+    """All rows that are read must have a stamp, of one table."""
     missing = rows.start + np.flatnonzero(~np.isfinite(stamps[rows]))
     if len(missing):
         more = f", and in {len(missing) - 1} more" if len(missing) > 1 else ""
         got = f"none in {_place(path, int(missing[0]))}{more}"
         advice = "Take lines that are no sample out, or leave them out by `slice`."
         check(False, f"time[{clock}]", f"must have a stamp in all rows of {path}", got, advice)
+    mixed = " ".join(mixed_tags(table, clock, rows))
+    rule = f"must be the clock of one set of signals in {path}"
+    check(not mixed, f"time[{clock}]", rule, "stamps of several tags", mixed)
 
 
 def _check_clock(time: str | int | None, sample_period: Real | None) -> None:
@@ -345,16 +351,26 @@ def _check_seconds(clock: str, table: Table, stamps: np.ndarray) -> None:
 def _date_notes(
     clock: str | None, table: Table, picked: Columns, rows: slice, scaled: bool
 ) -> list[str]:
-    """Sentences on dates in days and on an hour left out; dates with an hour twice are refused."""
+    """Sentences on dates in days, days of times of day and an hour left out.
+
+    Dates with an hour twice, and days where another column has the times, are refused.
+    """
     if clock is None:
         return []
     stamps = picked[clock][rows]
+    said = [note for note in table.notes if note.startswith(f"`{clock}` {TIMES_OF_DAY}")]
     if table.columns[clock].dtype.kind != "M":
-        return [] if scaled else date_hints(clock, stamps)
-    sentences = daylight_saving(stamps)
-    goes_back = bool(np.any(np.diff(stamps) < 0)) and bool(sentences)
-    check(not goes_back, f"time[{clock}]", "must increase", "an hour twice", " ".join(sentences))
-    return sentences
+        return said if scaled else [*said, *date_hints(clock, stamps)]
+    dates = {key: values for key, values in table.columns.items() if values.dtype.kind == "M"}
+    times = [key for key, values in dates.items() if not are_days(values)]
+    twice = are_days(dates[clock]) and bool(np.any(np.diff(stamps) == 0))
+    advice = f"Name the column that has the times: {' or '.join(times)}."
+    check(not (twice and times), f"time[{clock}]", "must increase", "days, each several times",
+          advice)  # fmt: skip
+    shifts = daylight_saving(stamps)
+    goes_back = bool(np.any(np.diff(stamps) < 0)) and bool(shifts)
+    check(not goes_back, f"time[{clock}]", "must increase", "an hour twice", " ".join(shifts))
+    return [*said, *shifts]
 
 
 def _rows(chosen: tuple[int, int | None] | None, count: int) -> slice:

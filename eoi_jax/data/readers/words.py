@@ -14,10 +14,11 @@ _SWITCHES = (
 )
 # What historians, meters and home automation write where a sensor gave nothing.
 _NO_VALUE = {
-    "bad", "bad data", "bad input", "bad quality", "comm fail", "fault", "i/o timeout",
-    "invalid", "no data", "no result", "no value", "nodata", "not available", "offline",
-    "over range", "overflow", "overrange", "scan off", "timeout", "unavailable", "under range",
-    "unknown",
+    "arc off-line", "bad", "bad data", "bad input", "bad quality", "calc failed", "comm fail",
+    "configure", "fault", "i/o timeout", "intf shut", "invalid", "no data", "no result",
+    "no sample", "no value", "nodata", "not available", "not connect", "offline", "over range",
+    "overflow", "overrange", "pt created", "scan off", "scan timeout", "shutdown", "timeout",
+    "unavailable", "under range", "unknown",
 }  # fmt: skip
 _MARKS = re.compile(r"[-–*?#.=_]+$")
 

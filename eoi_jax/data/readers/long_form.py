@@ -1,0 +1,60 @@
+"""Tables with the rows of several signals below each other, told apart by a tag."""
+
+import re
+
+import numpy as np
+
+from eoi_jax._checks import counted
+from eoi_jax.data.readers.table import Table
+
+# Not "Tag" alone, which is a day in German.
+_TAG = re.compile(r"(tag|point|signal)[ _.]?(name|id)$|signal$|variable$", re.IGNORECASE)
+
+
+def mixed_tags(
+    table: Table,
+    clock: str | None,
+    rows: slice = slice(None),
+    most_tags: float = 0.125,
+    fewest_repeats: float = 0.02,
+) -> list[str]:
+    """A sentence on the tags whose rows are mixed in a table, and what to do; none if none are.
+
+    A column of text holds tags if time repeats or goes back between them, and increases from row to
+    row of each; or if its name says so and they alternate, since stamps of changes need not repeat.
+    Of tags one below the other, dates begin anew with each; a logger that was started again counts
+    from zero.
+
+    Args:
+        table: contents of a file.
+        clock: column of the stamps; None: there is none.
+        rows: that are read.
+        most_tags: of the rows; with more of them a column of text holds remarks.
+        fewest_repeats: of the rows, in which time does not increase; fewer are faults of a clock,
+            or an hour that is put back.
+    """
+    if clock is None or table.columns[clock].dtype.kind not in "Mmiuf":
+        return []
+    stamps = table.columns[clock][rows]
+    backwards = len(stamps) > 1 and bool(stamps[0] > stamps[-1])
+    stamps = stamps[::-1] if backwards else stamps
+    steps = np.diff(stamps)
+    zero = np.zeros(1, steps.dtype)
+    repeats = np.sum(steps <= zero) >= max(fewest_repeats * len(steps), 1)
+    restarts = stamps.dtype.kind == "M" and np.any(2 * -steps > np.ptp(stamps))
+    for key, column in table.columns.items():
+        is_text = column.dtype.kind == "O" and len(column) == len(table.columns[clock])
+        if not (is_text and (repeats or restarts or _TAG.match(key))):
+            continue
+        tags = np.asarray(list(map(str, column[rows])))
+        tags = tags[::-1] if backwards else tags
+        names = list(dict.fromkeys(tags.tolist()))
+        is_mixed = np.sum(tags[1:] != tags[:-1]) >= len(names) or restarts
+        if not (is_mixed and 1 < len(names) <= most_tags * len(tags)):
+            continue
+        if all(np.all(np.diff(stamps[tags == name]) > zero) for name in names):
+            listed = ", ".join(names[:5]) + (", …" if names[5:] else "")
+            sentence = f"The rows of {counted(len(names), 'tag')} are mixed, which `{key}` tells "
+            sentence += f"apart ({listed}): give each a column of its own, as `pivot(index="
+            return [f"{sentence}{clock!r}, columns={key!r}, values=…)` of pandas does."]
+    return []

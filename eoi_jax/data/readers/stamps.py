@@ -1,0 +1,247 @@
+"""Dates and times of day in the columns of a text table."""
+
+import re
+import warnings
+from typing import Any
+
+import numpy as np
+
+from eoi_jax._checks import counted
+from eoi_jax.data.readers.table import Columns
+
+TIMES_OF_DAY = "holds times of day"  # how a note on such a column goes on behind its name
+_CLOCK = r"\d{1,2}:\d{2}(:\d{2}([.,]\d+)?)?\s*([AaPp][Mm])?"
+# English and German, whole or abbreviated; the first three letters tell.
+_MONTHS = {
+    "jan": 1, "feb": 2, "mar": 3, "mär": 3, "mrz": 3, "apr": 4, "may": 5, "mai": 5, "jun": 6,
+    "jul": 7, "aug": 8, "sep": 9, "oct": 10, "okt": 10, "nov": 11, "dec": 12, "dez": 12,
+}  # fmt: skip
+_MONTH = rf"(?:{'|'.join(_MONTHS)})[a-zä]{{0,6}}"
+_NAMED = re.compile(rf"(\d{{1,2}})[-/. ]+({_MONTH})[-/. ]+(\d{{4}}|\d{{2}})(?!\d)", re.IGNORECASE)
+# Hours ahead of UTC; those of America as RFC 5322 has them.
+_ZONES = {
+    "UTC": 0, "GMT": 0, "WET": 0, "WEST": 1, "CET": 1, "MET": 1, "MEZ": 1, "CEST": 2, "MEST": 2,
+    "MESZ": 2, "EET": 2, "OEZ": 2, "EEST": 3, "OESZ": 3, "MSK": 3, "EST": -5, "EDT": -4,
+    "CST": -6, "CDT": -5, "MST": -7, "MDT": -6, "PST": -8, "PDT": -7,
+}  # fmt: skip
+_ZONE = r"\s+(?![AaPp][Mm]$)([A-Za-z]{2,5})$"
+_DATE = re.compile(
+    rf"(\d{{4}}[-/.]\d{{1,2}}[-/.]\d{{1,2}}|\d{{1,2}}[-/.]\d{{1,2}}[-/.]\d{{2,4}}|{_NAMED.pattern})"
+    rf"([T\s]+{_CLOCK}({_ZONE})?)?\s*(Z|[+-]\d{{2}}(:?\d{{2}})?)?$",
+    re.IGNORECASE,
+)
+_TIME_OF_DAY = re.compile(rf"{_CLOCK}$")
+_HALF_DAY, _DAY = np.timedelta64(12, "h"), np.timedelta64(1, "D")
+
+
+def is_stamp(cell: str) -> bool:
+    """Whether a cell holds a date or a time of day.
+
+    Args:
+        cell: without spaces around it.
+    """
+    return bool(_DATE.match(cell) or _TIME_OF_DAY.match(cell))
+
+
+def read_stamps(key: str, values: Any, first: str, notes: list[str]) -> np.ndarray:
+    """A column of text as dates (datetime64) or times of day (timedelta64), else as it is.
+
+    Args:
+        key: name of the column.
+        values: a pandas series; missing where a cell is empty.
+        first: the first cell, which holds a date or a time of day.
+        notes: to which a sentence is appended.
+    """
+    if _DATE.match(first):
+        return _dates(key, values, first, notes)
+    return _times_of_day(key, values, notes)
+
+
+def on_their_days(columns: Columns, notes: list[str]) -> Columns:
+    """The columns with times of day as dates where another column has the days, else over midnight.
+
+    The days are those of the nearest column of dates alone that has one for each time of day, and a
+    later one after midnight. Without such a column a time of day that is much earlier than the one
+    before it is of the next day.
+
+    Args:
+        columns: of one length.
+        notes: to which a sentence on each column of times of day is appended.
+    """
+    keys, combined = list(columns), dict(columns)
+    for i, key in enumerate(keys):
+        if columns[key].dtype.kind != "m":
+            continue
+        dates = [j for j, name in enumerate(keys) if are_days(columns[name])]
+        dates = [keys[j] for j in sorted(dates, key=lambda j: abs(i - j))]
+        days = next((date for date in dates if _fit(columns[date], columns[key])), None)
+        if days is not None:
+            combined[key] = columns[days] + columns[key]
+            notes.append(f"`{key}` {TIMES_OF_DAY}: combined with the dates of `{days}`.")
+            continue
+        combined[key], nights = _over_midnights(columns[key])
+        text = f"`{key}` {TIMES_OF_DAY}, read as elapsed time"
+        text += f", over {counted(nights, 'midnight')}" if nights else ""
+        why = f"; the dates of `{dates[0]}` are not those of these times" if dates else ""
+        notes.append(f"{text}{why}.")
+    return combined
+
+
+def are_days(stamps: np.ndarray) -> bool:
+    """Whether a column holds dates without a time of day.
+
+    Args:
+        stamps: the column, of any type.
+    """
+    return stamps.dtype.kind == "M" and bool(
+        np.all(np.isnat(stamps) | (stamps == stamps.astype("datetime64[D]")))
+    )
+
+
+def _fit(days: np.ndarray, clock: np.ndarray) -> bool:
+    """Whether a column of dates has those of times of day: one for each, another after midnight."""
+    known = ~np.isnat(clock)
+    days, clock = days[known], clock[known]
+    if np.any(np.isnat(days)) or np.any(clock > _DAY):
+        return False
+    return not np.any((np.diff(clock) < -_HALF_DAY) & (np.diff(days) == np.timedelta64(0)))
+
+
+def _over_midnights(clock: np.ndarray) -> tuple[np.ndarray, int]:
+    """Times of day that go on over midnight, and how often they pass it."""
+    elapsed = clock.copy()
+    (known,) = np.nonzero(~np.isnat(clock))
+    nights = np.cumsum(np.diff(clock[known], prepend=clock[known[:1]]) < -_HALF_DAY)
+    elapsed[known] += nights * _DAY
+    return elapsed, int(nights[-1])
+
+
+def _dates(key: str, values: Any, first: str, notes: list[str]) -> np.ndarray:
+    """Instants as datetime64; day before month where points separate them or nothing else fits."""
+    texts = values.astype("string").str.replace(r"(\d),(\d)", r"\1.\2", regex=True).str.strip()
+    texts = _with_offsets(key, texts, notes)
+    named = _NAMED.match(first)
+    if named:
+        texts, first = texts.str.replace(_NAMED, _with_number, regex=True), _with_number(named)
+    candidates = _date_orders(texts, first)
+    if not candidates:
+        texts = _without_words(key, texts, _DATE, notes)
+        candidates = _date_orders(texts, first)
+    if candidates:  # the order with fewest reversals and the shortest span
+        _, _, day_first, stamps = min(candidates, key=lambda candidate: candidate[:3])
+        year_first = bool(re.match(r"\d{4}", first))
+        order = "year, month, day" if year_first else "day, month" if day_first else "month, day"
+        notes.append(f"`{key}` holds dates, read in the order {order}.")
+        return stamps.dt.tz_localize(None).to_numpy().astype("datetime64[ns]")
+    notes.append(f"`{key}` begins with a date, but holds something else further down.")
+    return values.astype(object).to_numpy()
+
+
+def _with_number(date: re.Match[str]) -> str:
+    """A date with the number of its month in place of the name."""
+    return f"{date[1]}.{_MONTHS[date[2][:3].lower()]}.{date[3]}"
+
+
+def _zones(texts: Any) -> tuple[list[str], bool]:
+    """The words behind dates and times, in capitals, and whether each date has one."""
+    if not texts.str.contains(r"[A-Za-z]{2}$").any():  # fast, for most files
+        return [], True
+    words = texts.str.extract(_ZONE, expand=False).str.upper()
+    if words.isna().all():
+        return [], True
+    dates = texts.str.match(_DATE).fillna(False)
+    return list(words[dates].dropna().unique()), bool(words[dates].notna().all())
+
+
+def zone_problem(key: str, values: Any) -> str:
+    """Why the time zones of a column of dates cannot be told; empty if they can, or it has none.
+
+    Args:
+        key: name of the column.
+        values: a pandas series; missing where a cell is empty.
+    """
+    texts = values.dropna()
+    first = str(texts.iloc[0]).strip() if len(texts) else ""
+    if not _DATE.match(first):
+        return ""
+    words, everywhere = _zones(texts.astype("string").str.strip())
+    if everywhere and (len(words) < 2 or set(words) <= _ZONES.keys()):
+        return ""
+    what = ", ".join(f"`{word}`" for word in words[:5])
+    what = f"the time zones {what}" if everywhere else f"a time zone in some rows only ({what})"
+    return f"`{key}` has {what}: give each time its offset, such as +01:00, or give all in UTC."
+
+
+def _with_offsets(key: str, texts: Any, notes: list[str]) -> Any:
+    """The texts with offsets in place of the names of time zones.
+
+    A single word that is no known zone is left out: time counts from the first stamp.
+    """
+    words, _ = _zones(texts)
+    if not words:
+        return texts
+    if set(words) <= _ZONES.keys():
+        offsets = {word: f"{_ZONES[word]:+03d}:00" for word in words}
+        listed = ", ".join(f"{word} ({offset})" for word, offset in offsets.items())
+        notes.append(f"`{key}` has times of {listed}.")
+        return texts.str.replace(_ZONE, lambda word: f" {offsets[word[1].upper()]}", regex=True)
+    notes.append(f"`{key}` has `{words[0]}` behind all its times: left out.")
+    return texts.str.replace(_ZONE, "", regex=True)
+
+
+def _date_orders(texts: Any, first: str) -> list[tuple[int, Any, bool, Any]]:
+    """Reversals of time, span and stamps with each order of day and month that fits all texts."""
+    import pandas as pd
+
+    year_first = bool(re.match(r"\d{4}", first))
+    candidates = []
+    for day_first in [False] if year_first else [True] if "." in first[:6] else [False, True]:
+        for form in (None, "mixed"):  # a common format is read much faster
+            try:
+                with warnings.catch_warnings():  # on the ambiguous order
+                    warnings.simplefilter("ignore", UserWarning)
+                    stamps = pd.to_datetime(texts, dayfirst=day_first, format=form, utc=True)
+            except (ValueError, TypeError):
+                continue
+            reversals = int((stamps.diff().dt.total_seconds() < 0).sum())
+            candidates.append((reversals, stamps.max() - stamps.min(), day_first, stamps))
+            break
+    return candidates
+
+
+def _without_words(key: str, texts: Any, form: re.Pattern[str], notes: list[str]) -> Any:
+    """The texts of a column of stamps, missing where they lack a form that most of them have."""
+    odd = (texts.notna() & ~texts.str.match(form)).to_numpy(bool)
+    rows = np.flatnonzero(odd)
+    if not 0 < 2 * len(rows) < len(texts):
+        return texts
+    what = f"{texts.iloc[rows[0]]!r} in row {rows[0]}, counted from 0"
+    more = f", and {len(rows) - 1} more such" if len(rows) > 1 else ""
+    notes.append(f"`{key}` has no stamp where it holds {what}{more}.")
+    return texts.mask(odd)
+
+
+def _times_of_day(key: str, values: Any, notes: list[str]) -> np.ndarray:
+    """Times since midnight as timedelta64."""
+    texts = values.astype("string").str.replace(",", ".").str.strip()
+    elapsed = _elapsed(texts)
+    if elapsed is None:
+        elapsed = _elapsed(_without_words(key, texts, _TIME_OF_DAY, notes))
+    if elapsed is None:
+        notes.append(f"`{key}` begins with a time of day, but holds something else further down.")
+        return values.astype(object).to_numpy()
+    return elapsed.astype("timedelta64[ns]")
+
+
+def _elapsed(texts: Any) -> np.ndarray | None:
+    """Times since midnight; None where a text is no time of day."""
+    import pandas as pd
+
+    short = texts.str.count(":") == 1
+    try:
+        if texts.str.contains("m", case=False).any():
+            clock = pd.to_datetime("2000-01-01 " + texts, format="mixed")
+            return (clock - pd.Timestamp("2000-01-01")).to_numpy()
+        return pd.to_timedelta(texts.where(~short, texts + ":00")).to_numpy()
+    except (ValueError, TypeError):
+        return None
