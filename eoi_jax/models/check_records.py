@@ -131,7 +131,9 @@ def _check_unit(field: str, record: Record, label: str, expected: str | None, na
 
 
 def _extra_inputs(names: Sequence[str], labels: Sequence[str]) -> str:
-    """What to do with inputs that the plant does not read, such as a reference."""
+    """What to do with inputs that the plant does not read, or where a record has none."""
+    if not labels:
+        return "Write `inputs=()` in `Plant` for a system without input."
     extra = [label for label in labels if label not in names]
     if len(labels) - len(extra) != len(names):
         return ""
