@@ -99,8 +99,8 @@ def remarks(inspection: Inspection) -> list[str]:
     lines = (*inspection.notes, *inspection.advice)
     kept = [line for line in lines if not (done and JUMPS in line and f"`{name}`" in line)]
     if further:
-        others = ", ".join(f"`{other}`" for other in further)
-        kept.append(_ONE_OUTPUT.format(name, others))
+        listed = ", ".join(f"`{column}`" for column in further)
+        kept.append(_ONE_OUTPUT.format(name, listed))
     return kept
 
 

@@ -100,15 +100,15 @@ def _advice(element: str, plant: Any, is_row: bool) -> str:
     if element.startswith("u["):
         count = counted(len(plant.inputs), "input")
         listed = f"{count} ({', '.join(plant.inputs)})" if plant.inputs else "no input"
-        has = f"The model has {listed}"
-        return f"{has}: name all that it reads in `inputs`."
+        inventory = f"The model has {listed}"
+        return f"{inventory}: name all that it reads in `inputs`."
     if element.startswith("x.z["):
-        has = f"The model has {counted(len(plant.initial_internal), 'internal state')}"
-        return f"{has}, as many as `internal_initial` has values."
+        inventory = f"The model has {counted(len(plant.initial_internal), 'internal state')}"
+        return f"{inventory}, as many as `internal_initial` has values."
     rows, columns = counted(plant.rows, "row"), counted(len(plant.outputs), "column")
-    has = (
+    inventory = (
         f"`x.y` has {rows} (the outputs and their derivatives below `relative_degree`, which is "
         f"{plant.rows}) and {columns} ({', '.join(plant.outputs)})."
     )
     higher = f" For a model of the next derivative write `relative_degree={plant.rows + 1}`."
-    return has + higher * is_row
+    return inventory + higher * is_row

@@ -205,12 +205,15 @@ def units_agree(first: str, second: str) -> bool | None:
         return True
     if all(text in _TEMPERATURES for text in texts):
         return False
-    one, other = map(_read, texts)
-    if one is None or other is None:
+    left_unit, right_unit = map(_read, texts)
+    if left_unit is None or right_unit is None:
         return None
-    turns = [unit.factor / (2.0 * math.pi) ** unit.powers.get("rad", 0) for unit in (one, other)]
-    alike = _without_radians(one) == _without_radians(other)
-    if alike and (math.isclose(one.factor, other.factor) or math.isclose(*turns)):
+    turns = [
+        unit.factor / (2.0 * math.pi) ** unit.powers.get("rad", 0)
+        for unit in (left_unit, right_unit)
+    ]
+    alike = _without_radians(left_unit) == _without_radians(right_unit)
+    if alike and (math.isclose(left_unit.factor, right_unit.factor) or math.isclose(*turns)):
         return True
     is_remark = any(text in _REMARKS for text in texts) and not alike
     return None if is_remark or "1" in texts else False

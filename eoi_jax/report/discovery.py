@@ -92,6 +92,8 @@ def _lacking(discovery: Discovery) -> str:
         start = f"The model {lacking}, and something that is left"
     elif code == "unexplained" and lacking:
         start = f"The model {lacking}, and something that none of the tested effects explains"
+    elif code == "unexplained" and discovery.in_sample and not discovery.ranking:
+        start = "The model lacks something, and no effect was tried"
     elif code == "unexplained":
         start = "The model lacks something that none of the tested effects explains"
         start += " on all records" if discovery.denied else ""
