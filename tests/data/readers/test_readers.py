@@ -385,6 +385,13 @@ def test_late_samples_of_a_2_ms_clock_are_no_gaps(data_directory):
 HEADERS = {"in the name": "t,valve [%],level [mm]\n", "in a row": "t,valve,level\ns,%,mm\n"}
 
 
+def test_a_column_of_the_same_name_in_another_unit_is_the_one_that_is_meant(tmp_path):
+    rows = "".join(f"{i},{i % 7},{i}\n" for i in range(40))
+    (tmp_path / "run.csv").write_text(f"t,Ta [degC],T [degF]\n{rows}")
+    with pytest.raises(ValueError, match=r"got `T \[degC\]`. Did you mean `T \[degF\]`\?"):
+        read_record(tmp_path / "run.csv", "t", "Ta [degC]", "T [degC]")
+
+
 @pytest.mark.parametrize("header", HEADERS.values(), ids=HEADERS)
 def test_the_unit_in_a_file_is_checked_where_the_caller_gives_none(tmp_path, header):
     """1 mm as 1 cm would be a wrong answer without a word."""
