@@ -183,6 +183,8 @@ def phrase(discovery: Discovery, added: Added) -> str:
             # An acceleration is told as the force that causes it.
             is_force = strength.unit in _FORCES
             text = quantity_text if is_force else f"{text} ({quantity_text} at the input)"
+        if not error > 0 and value in (parameter.lower, parameter.upper):
+            text += ", its bound"  # which has no standard error
         values.append((parameter.name, text))
     if isinstance(added.effect, Curve | InputCurve) or not values:
         return name_and_place
