@@ -1,5 +1,6 @@
 """Indices of x and u that are out of bounds, which JAX would move to the nearest element."""
 
+import functools
 from collections.abc import Callable
 from typing import Any
 
@@ -8,6 +9,8 @@ import jax.numpy as jnp
 import numpy as np
 
 from eoi_jax._checks import check, counted
+from eoi_jax.models.parameters import parameter_type
+from eoi_jax.models.traced_equations import has_hash
 from eoi_jax.models.traced_shapes import line_of
 
 
@@ -67,25 +70,45 @@ def check_indices(
         ValueError: an element that is not there.
     """
     shape = plant.rows, len(plant.outputs)
-    # What depends on outputs of degree 0, which are no states, has a message of its own.
-    y = _bounded("x.y", shape, theta.dtype) if plant.relative_degree else jnp.ones(shape)
-    x = state(y, _bounded("x.z", internal, theta.dtype))
-    u = _bounded("u", (len(plant.inputs),), theta.dtype)
-
-    def call(theta: Any) -> jax.Array:
-        return jnp.asarray(function(np.ones((), theta.dtype), x, u, plant.named(theta)))
-
+    sizes = shape if plant.relative_degree else (), internal, (len(plant.inputs),)
+    trace = _trace if has_hash(function) else _trace.__wrapped__
     try:
-        with np.errstate(all="ignore"):
-            jax.eval_shape(call, theta)
+        trace(function, plant.names, state, shape, *sizes, theta.dtype)
     except OutOfBoundsError as error:
         element = str(error)
         value = element + line_of(function, error)
         rule = "must read elements that are there, for others JAX takes the nearest"
         is_row = element.count("[") == 1 and "axis 0" in str(error.__cause__)
         check(False, field, rule, value, _advice(element, plant, is_row))
+
+
+@functools.lru_cache(maxsize=64)
+def _trace(
+    function: Any,
+    names: tuple[str, ...],
+    state: Callable,
+    shape: tuple[int, int],
+    outputs: tuple[int, ...],
+    internal: tuple[int, ...],
+    inputs: tuple[int, ...],
+    dtype: Any,
+) -> None:
+    """Trace a function once with bounded arrays, as equal equations are traced once elsewhere."""
+    # What depends on outputs of degree 0, which are no states, has a message of its own.
+    y = _bounded("x.y", outputs, dtype) if outputs else jnp.ones(shape)
+    x = state(y, _bounded("x.z", internal, dtype))
+    u = _bounded("u", inputs, dtype)
+
+    def call(theta: Any) -> jax.Array:
+        return jnp.asarray(function(np.ones((), dtype), x, u, parameter_type(names)(*theta)))
+
+    try:
+        with np.errstate(all="ignore"):
+            jax.eval_shape(call, jax.ShapeDtypeStruct((len(names),), dtype))
+    except OutOfBoundsError:
+        raise
     except Exception:
-        pass
+        return  # what arrays of NumPy cannot do
 
 
 def _bounded(label: str, shape: tuple[int, ...], dtype: Any) -> Bounded:
