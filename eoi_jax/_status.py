@@ -65,7 +65,10 @@ class EngineUsed:
     @property
     def notes(self) -> tuple[str, ...]:
         """Line for a report if the fast engine was not used."""
-        line = f"computed by the {self.name} engine, slower than machine code: {self.reason}"
+        line = (
+            "slower than usual, with the same numbers: not computed by machine code but by the "
+            f"{self.name} engine ({self.reason})"
+        )
         return (line,) if self.reason else ()
 
 

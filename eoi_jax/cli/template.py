@@ -16,7 +16,7 @@ from eoi_jax.cli import config
 from eoi_jax.cli.build import DATA_VARIABLE
 from eoi_jax.cli.terminal import shell_word
 from eoi_jax.data.channel import Channel
-from eoi_jax.data.column_names import stem
+from eoi_jax.data.column_names import short_names
 from eoi_jax.data.inspection import SMOOTH, Inspection, InspectionSettings
 from eoi_jax.data.record import Record
 from eoi_jax.data.resampling import low_pass
@@ -42,6 +42,10 @@ class DraftSettings:
 
 
 _SETTINGS = DraftSettings()
+_ONE_OUTPUT = (
+    "The draft has one output, `{}`. {} may be outputs too: add them to the model and to "
+    "`outputs`, or draft another one by `--outputs`."
+)
 
 
 def draft(inspections: Sequence[Inspection], target: Path, sheet: str | None = None) -> str:
@@ -85,15 +89,20 @@ def draft(inspections: Sequence[Inspection], target: Path, sheet: str | None = N
 
 
 def remarks(inspection: Inspection) -> list[str]:
-    """Notes and advice on the file, without what the draft has done.
+    """Notes and advice on the file, without what the draft has done, and what it leaves out.
 
     Args:
         inspection: of a file with an output.
     """
-    first = next(channel for channel in inspection.channels if channel.role == "output")
-    done = first.wraps is not None and first.wraps.usual
+    name, *further = _outputs(inspection)
+    drafted = next(channel for channel in inspection.channels if channel.name == name)
+    done = drafted.wraps is not None and drafted.wraps.usual
     lines = (*inspection.notes, *inspection.advice)
-    return [line for line in lines if not (done and JUMPS in line and f"`{first.name}`" in line)]
+    kept = [line for line in lines if not (done and JUMPS in line and f"`{name}`" in line)]
+    if further:
+        listed = ", ".join(f"`{column}`" for column in further)
+        kept.append(_ONE_OUTPUT.format(name, listed))
+    return kept
 
 
 def checked(text: str, target: Path) -> str:
@@ -243,6 +252,7 @@ class _Symbols:
 
 def _symbols(output: str, inputs: Sequence[str]) -> _Symbols:
     used: set[str] = {"t", "pi"}
+    output, *inputs = short_names([output, *inputs])
     y = _symbol(output, "y", used)
     rate = _symbol(f"{y}_rate", "rate", used)
     return _Symbols(y, rate, [_symbol(name, "u", used) for name in inputs], used)
@@ -446,9 +456,8 @@ def _path_in(path: Path, target: Path) -> str:
 
 
 def _symbol(name: str, default: str, used: set[str]) -> str:
-    """The name of a column as a symbol of an equation, different from those in use."""
-    text = stem(name)
-    plain = identifier(text if re.search(r"[^\W\d_]", text) else default, used, TEXT_WORDS)
+    """A name as a symbol of an equation, different from those in use."""
+    plain = identifier(name if re.search(r"[^\W\d_]", name) else default, used, TEXT_WORDS)
     used.add(plain)
     return plain
 

@@ -112,15 +112,16 @@ def _without_zone(stamps: np.ndarray) -> np.ndarray:
     return np.asarray(naive, dtype="datetime64[us]").reshape(stamps.shape)
 
 
+_NO_INPUT = (
+    "For a system without input write `Record(time, np.zeros((len(time), 0)), outputs)`, and "
+    "`inputs=()` in its `Plant`."
+)
+
+
 def read_signals(name: str, values: Any) -> Signals:
     """Signals as (N, channels), possibly with NaN."""
-    check(
-        values is not None,
-        name,
-        "must be an array",
-        None,
-        "Give np.zeros((N, 0)) for a system without input." if name == "inputs" else "",
-    )
+    advice = "" if name == "inputs" else "Inputs come before outputs. "
+    check(values is not None, name, "must be an array", None, advice + _NO_INPUT)
     array = _numbers(name, values)
     letter = name[0].replace("i", "u").replace("o", "y")
     check(
@@ -142,7 +143,7 @@ def check_lengths(stamps: np.ndarray, u: np.ndarray, y: np.ndarray) -> None:
         "time, inputs, outputs",
         "must be equally long",
         rows,
-        "Samples run along the first axis.",
+        _NO_INPUT if not len(u) else "Samples run along the first axis.",
     )
     check(len(stamps) >= SHORTEST, "time", f"must have at least {SHORTEST} samples", len(stamps))
     check(y.shape[1] > 0, "outputs", "must have at least one channel", f"shape {y.shape}")

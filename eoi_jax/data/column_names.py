@@ -1,7 +1,7 @@
 """What the name of a column says of it: its words, and the role that they stand for."""
 
 import re
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 
 import numpy as np
 
@@ -51,8 +51,32 @@ def stem(name: str) -> str:
     Args:
         name: any text; one with spaces is no path.
     """
+    return _path(name)[-1]
+
+
+# What an instrument's tag ends with: process value, set point, output, …
+_ATTRIBUTES = ("pv", "sp", "op", "mv", "cv", "out", "in", "val", "value", "act", "ist", "soll")
+
+
+def short_names(names: Sequence[str]) -> list[str]:
+    """Names without units and paths that still tell the columns apart.
+
+    ``log.u [V]`` is u; an attribute keeps its instrument, as in ``TIC101.PV``; and names that would
+    be one keep their paths.
+
+    Args:
+        names: of columns.
+    """
+    paths = [_path(name) for name in names]
+    ends = [path[-2 if path[-1].lower() in _ATTRIBUTES else -1 :] for path in paths]
+    pairs = zip(paths, ends, strict=True)
+    return [".".join(path if ends.count(end) > 1 else end) for path, end in pairs]
+
+
+def _path(name: str) -> list[str]:
+    """The parts of a name without unit; one with spaces is no path."""
     plain = _without_unit(name)
-    return plain if " " in plain else re.split(r"[./]", plain)[-1]
+    return [plain] if " " in plain else re.split(r"[./]", plain)
 
 
 def is_reference(name: str) -> bool:

@@ -161,7 +161,7 @@ class Record(Result):
         self,
         time: Any,
         inputs: Any,
-        outputs: Any,
+        outputs: Any = None,
         name: str = "record",
         *,
         input_names: Names = None,

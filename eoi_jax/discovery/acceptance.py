@@ -17,7 +17,11 @@ _MEDIAN_OF_SQUARE = 0.455  # of the square of a normal variable
 _NOTHING_MISSING = "what is left is {}: nothing that the data can name"
 _NO_EFFECT = (
     "what is left is {}, more than noise, and none of the tested effects explains it. `diagnosis` "
-    "shows where it lives; more records with other inputs may tell"
+    "shows where it lives; more records, of other motions, may tell"
+)
+_UNTRIED = (
+    "what is left is {}, more than noise, and no effect was tried: those that are asked for need "
+    "held-out records. Give `validation`"
 )
 _EXPLAINED_TEXT = "the effects take {:.1%} of the residual's power; what is left is {}"
 _REST_UNEXPLAINED = (
@@ -114,6 +118,7 @@ def judged(
     relative_residual: float,
     noise_like: bool,
     unrivalled: bool = False,
+    tried: bool = True,
 ) -> Status:
     """Whether a set of effects is the answer, with the reason.
 
@@ -124,6 +129,7 @@ def judged(
         noise_like: whether the remaining residual is noise.
         unrivalled: whether half can be enough: no other effect explains nearly as much, and free
             runs on held-out data decide.
+        tried: whether any effect was tried, or will be in free runs.
     """
     is_negligible, description = (
         noise_like or relative_residual <= _RULES.negligible,
@@ -132,7 +138,8 @@ def judged(
     if not placed:
         if is_negligible:
             return Status("nothing_missing", _NOTHING_MISSING.format(description))
-        return Status("unexplained", _NO_EFFECT.format(description))
+        reason = _NO_EFFECT if tried else _UNTRIED
+        return Status("unexplained", reason.format(description))
     if share >= _RULES.explained or is_negligible:
         return answered(share, relative_residual)
     if unrivalled and share >= _RULES.half:

@@ -65,7 +65,7 @@ from eoi_jax.estimation.holdout import check_runs, held_out_records
 from eoi_jax.estimation.identify import declared_index, estimate
 from eoi_jax.estimation.lowpass import LowPass
 from eoi_jax.estimation.preparation import PreparedRecords, prepare_records
-from eoi_jax.models.check_records import check_records
+from eoi_jax.models.check_records import check_records, unit_notes
 from eoi_jax.models.effects import (
     ParameterDependence,
     couplings,
@@ -170,7 +170,7 @@ def discover(
     unplaced_notes = (
         [] if effects is None else notes_without_place(tried_effects, fitting, discovery)
     )
-    measured = *record_notes((*read, *unseen)), *clipped_notes(read)
+    measured = *record_notes((*read, *unseen)), *clipped_notes(read), *unit_notes(plant, read)
     notes = *fit_notes(plant, discovery.added, discovery.found), *unplaced_notes, *runs, *measured
     discovery = replace(discovery, notes=(*discovery.notes, *notes))
     return with_test_errors(discovery, unseen, fit_records, window) if unseen else discovery

@@ -245,7 +245,8 @@ def _chosen(
     """The last step of the search that free runs on held-out records do not refuse."""
     first, notes, refused = rounds[0], [], dict(rounds[0].decision.refused)
     share, residual_ratio, quiet = explained(rounds)
-    status, denied_set = judged(steps[-1].placed if steps else (), share, residual_ratio, quiet), ()
+    tried, placed = bool(first.candidates or task.held_out), steps[-1].placed if steps else ()
+    status, denied_set = judged(placed, share, residual_ratio, quiet, tried=tried), ()
     if status.code == "unexplained" and (denial := denied(first)) is not None:
         denied_set, status = denial
     unrivalled_effect = bool(task.held_out) and unrivalled(first)
@@ -390,7 +391,8 @@ def _notes(task: Task) -> list[str]:
     if not task.held_out:
         notes.append(
             "no held-out record: errors are in-sample, and no effect was refused for being worse "
-            "on other data. Give `validation`: records, or a share of these such as 0.3"
+            "on other data. Give `validation`: records, or a share of these such as 0.3; in a "
+            "config files, `[validation]`"
         )
     return notes
 

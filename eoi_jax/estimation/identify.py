@@ -69,7 +69,7 @@ from eoi_jax.estimation.regression.least_squares import standard_errors
 from eoi_jax.estimation.regression.robust_covariance import long_run
 from eoi_jax.estimation.regression.sample_rows import sample_rows
 from eoi_jax.estimation.undersampled import resolved
-from eoi_jax.models.check_records import check_records
+from eoi_jax.models.check_records import check_records, unit_notes
 from eoi_jax.models.plant import Plant
 
 
@@ -225,7 +225,7 @@ def identify(
     explicit = observer is not None and observer.scheme == "explicit"
     checked, evidence = decided(plant, checked, declared_index, lowpass)
     prepared = prepare_records(plant, checked, lowpass, smoothing, substeps, explicit)
-    measured = *clipped_notes(checked), *wrapped_notes(checked, repeated=False)
+    measured = *clipped_notes(checked), *wrapped_notes(checked, False), *unit_notes(plant, checked)
     prepared = replace(prepared, reasons=(*evidence, *prepared.reasons, *measured))
     # The explicit form is the paper's method; in single precision second differences are rounding.
     plain_only = explicit or jnp.result_type(float) != jnp.float64

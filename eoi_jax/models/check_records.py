@@ -12,7 +12,7 @@ from eoi_jax.data.cleaning import numbered_names
 from eoi_jax.data.record import Record
 from eoi_jax.models.angles import check_angles
 from eoi_jax.models.plant import Plant
-from eoi_jax.models.units import is_rescaled, same_unit
+from eoi_jax.models.units import same_unit, units_agree
 
 
 def check_records(plant: Plant, records: Record | Sequence[Record]) -> tuple[Record, ...]:
@@ -74,6 +74,28 @@ def check_records(plant: Plant, records: Record | Sequence[Record]) -> tuple[Rec
     return data_set
 
 
+def unit_notes(plant: Plant, records: Sequence[Record]) -> list[str]:
+    """A sentence for each channel whose unit in its file cannot be compared with the plant's.
+
+    Args:
+        plant: with units.
+        records: that `check_records` has accepted.
+    """
+    channels = plant.inputs + plant.outputs
+    pairs = {
+        (label, header, plant.units[name])
+        for record in records
+        for name, label in zip(channels, record.input_names + record.output_names, strict=True)
+        if (header := (record.file_units or {}).get(label)) and name in plant.units
+    }
+    return [
+        f"{label} is in {header!r} in its file and in {unit!r} in the model: whether these are one "
+        "unit is not known. If they are, give it by `units`"
+        for label, header, unit in sorted(pairs)
+        if units_agree(header, unit) is None
+    ]
+
+
 def _check_places(plant: Plant, record: Record) -> None:
     """Check that no output is among the inputs while an input is among the outputs, by name."""
     u, y = record.input_names, record.output_names
@@ -100,13 +122,18 @@ def _check_unit(field: str, record: Record, label: str, expected: str | None, na
     rule = f"must be in the plant's unit for `{name}`, {expected!r}"
     advice = "Convert the column, or correct the unit."
     check(unit is None or same_unit(unit, expected), field, rule, repr(unit), advice)
-    advice = "Convert the column by `scale`; or give its unit by `units`, if it is not that of the "
+    advice = (
+        "Convert the column by `scale`, or name the right one; or give its unit by `units`, if "
+    )
     value = f"{header!r} in its file"
-    check(not is_rescaled(header, expected), field, rule, value, f"{advice}file.")
+    agree = units_agree(header, expected)
+    check(agree is not False, field, rule, value, f"{advice}if it is not that of the file.")
 
 
 def _extra_inputs(names: Sequence[str], labels: Sequence[str]) -> str:
-    """What to do with inputs that the plant does not read, such as a reference."""
+    """What to do with inputs that the plant does not read, or where a record has none."""
+    if not labels:
+        return "Write `inputs=()` in `Plant` for a system without input."
     extra = [label for label in labels if label not in names]
     if len(labels) - len(extra) != len(names):
         return ""

@@ -25,6 +25,7 @@ from eoi_jax.compiler.pointwise import along
 from eoi_jax.models.actuators import keeps_steps
 from eoi_jax.models.algebraic_outputs import apart, check_algebraic
 from eoi_jax.models.captured_values import with_present_values
+from eoi_jax.models.index_bounds import check_indices
 from eoi_jax.models.kinds import checked_kinds, kind_of
 from eoi_jax.models.known_starts import StartItems, checked_starts, internal_start_of, start_table
 from eoi_jax.models.parameters import check_names, limits_of, parameter_type, replaced
@@ -486,6 +487,7 @@ class Plant(eqx.Module):
                 x = State(jnp.zeros((r, ny)), z)
                 return evaluated(function, self.names, jnp.zeros(()), x, jnp.zeros((nu,)), theta)
 
+            check_indices(field, function, self, State, theta, start.shape)
             return traced_shape(field, function, call, theta, start)
 
         shape = shapes("dynamics", self.dynamics)

@@ -31,12 +31,17 @@ def evaluated(
         u: inputs there.
         theta: values of the parameters, shape (np,).
     """
-    if tracing() and _has_hash(function):
+    if tracing() and has_hash(function):
         return _traced_once(function, names)(t, x, u, theta)
     return jnp.asarray(function(t, x, u, parameter_type(names)(*theta)))
 
 
-def _has_hash(function: Callable) -> bool:
+def has_hash(function: Callable) -> bool:
+    """Whether a function can be compared with others.
+
+    Args:
+        function: of the model.
+    """
     try:
         hash(function)
     except TypeError:

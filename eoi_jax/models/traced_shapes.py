@@ -45,7 +45,7 @@ def traced_shape(field: str, function: Any, call: Callable, *arguments: Any) -> 
     except ValueError as error:
         if str(error).startswith("`"):  # of a field of its own
             raise
-        value = f"{type(error).__name__}: {error}{_line(function, error)}"
+        value = f"{type(error).__name__}: {error}{line_of(function, error)}"
         returns_nothing = str(error).startswith("None is not a valid value")
         advice = "Does the function lack its `return`?" if returns_nothing else ""
         check(False, field, "must run where it is called", value, advice)
@@ -56,10 +56,10 @@ def traced_shape(field: str, function: Any, call: Callable, *arguments: Any) -> 
         used += "" if branch else "`math` or Python of one"
         advice = "Use `jnp.where` in its place." if branch else "Use that of `jax.numpy`, `jnp`."
         rule = "must not need the values of `t`, `x`, `u` or `p`, which JAX traces"
-        check(False, field, rule, used + _line(function, error), advice)
+        check(False, field, rule, used + line_of(function, error), advice)
         raise
     except _FAILURES as error:
-        value = f"{type(error).__name__}: {error}{_line(function, error)}"
+        value = f"{type(error).__name__}: {error}{line_of(function, error)}"
         advice = "" if field == "actuator" else _ARGUMENTS
         scalar = advice and "scalar" in str(error)  # lax.cond, lax.while_loop
         advice += " " + _SCALARS if scalar else ""
@@ -67,8 +67,13 @@ def traced_shape(field: str, function: Any, call: Callable, *arguments: Any) -> 
         raise
 
 
-def _line(function: Any, error: Exception) -> str:
-    """In which line of the user's file it was."""
+def line_of(function: Any, error: Exception) -> str:
+    """In which line of the user's file an error was, in brackets; "" where that is not known.
+
+    Args:
+        function: of the user.
+        error: raised in it.
+    """
     code = getattr(function, "__code__", None)
     frames = traceback.extract_tb(error.__traceback__)
     lines = [frame.lineno for frame in frames if code and frame.filename == code.co_filename]

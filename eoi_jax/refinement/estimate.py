@@ -15,6 +15,7 @@ from eoi_jax.estimation.common_factors import CommonFactor, common_factors
 from eoi_jax.estimation.regression.least_squares import least_squares, standard_errors, untraced
 from eoi_jax.estimation.regression.orthonormal import orthonormal
 from eoi_jax.estimation.regression.robust_covariance import covariance_of_estimate
+from eoi_jax.models.check_records import unit_notes
 from eoi_jax.models.plant import Plant
 from eoi_jax.refinement.fit import Fit, log_cost, rms
 from eoi_jax.refinement.problem import CONVERGED
@@ -69,6 +70,7 @@ def refinement_of(
             *(FitNote(_ON_BOUND.format(name, plant.parameters[name])) for name in bound),
             *_unsettled(fit),
             *wrapped_notes(records),
+            *unit_notes(nominal, records),
             *_restarts(records, spans),
         ),
         certainty.information,

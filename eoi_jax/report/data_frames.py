@@ -96,7 +96,7 @@ def validation_frame(result: Validation) -> Any:
 
 
 def discovery_frame(result: Discovery) -> Any:
-    """A row for each effect that was tried, the best first, with its evidence.
+    """A row for each effect that was tried, the best first, with its evidence by itself.
 
     Args:
         result: of `discover`.
@@ -105,8 +105,11 @@ def discovery_frame(result: Discovery) -> Any:
     rows = []
     for rank, candidate in enumerate(result.ranking, 1):
         label, place = candidate.label, candidate.position
-        evidence = candidate.explained, candidate.score, candidate.remark
-        rows.append((rank, label, place, (label, place) in added, *evidence))
+        is_added = (label, place) in added
+        # Evidence is of an effect by itself; one that was added acts together with others.
+        remark = f"by itself: {candidate.remark}" * (candidate.remark != "")
+        evidence = candidate.explained, candidate.score, remark if is_added else candidate.remark
+        rows.append((rank, label, place, is_added, *evidence))
     names = ("rank", "effect", "at", "added", "explained", "score", "remark")
     attributes = {"status": result.status.code, "explained": result.explained}
     return _frame(names, rows, attributes)

@@ -204,8 +204,16 @@ def saturation(diagnosis: Diagnosis) -> Iterator[str]:
         unit = with_space(diagnosis.units.get(limit.channel, ""))
         yield (
             f"{limit.channel} of {limit.record} saturates: it stops at {limit.level:.6g}{unit}, "
-            f"where {limit.share:.2g} of its samples lie. Mask those samples, or model the limit."
+            f"where {limit.share:.2g} of its samples lie. "
+            + (_INPUT_AT_LIMIT if limit.channel in diagnosis.inputs else _OUTPUT_AT_LIMIT)
         )
+
+
+_OUTPUT_AT_LIMIT = "Mask those samples, or model the limit."
+_INPUT_AT_LIMIT = (
+    "If that is what acts, as the output of a controller at its limit, nothing is wrong; if its "
+    "sensor ends there, what acts is not known."
+)
 
 
 def sliding(diagnosis: Diagnosis) -> Iterator[str]:

@@ -92,6 +92,8 @@ def _lacking(discovery: Discovery) -> str:
         start = f"The model {lacking}, and something that is left"
     elif code == "unexplained" and lacking:
         start = f"The model {lacking}, and something that none of the tested effects explains"
+    elif code == "unexplained" and discovery.in_sample and not discovery.ranking:
+        start = "The model lacks something, and no effect was tried"
     elif code == "unexplained":
         start = "The model lacks something that none of the tested effects explains"
         start += " on all records" if discovery.denied else ""
@@ -181,6 +183,8 @@ def phrase(discovery: Discovery, added: Added) -> str:
             # An acceleration is told as the force that causes it.
             is_force = strength.unit in _FORCES
             text = quantity_text if is_force else f"{text} ({quantity_text} at the input)"
+        if not error > 0 and value in (parameter.lower, parameter.upper):
+            text += ", its bound"  # which has no standard error
         values.append((parameter.name, text))
     if isinstance(added.effect, Curve | InputCurve) or not values:
         return name_and_place

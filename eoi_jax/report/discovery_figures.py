@@ -8,7 +8,7 @@ from eoi_jax.discovery.result import Added, Discovery
 from eoi_jax.models.effects import AbstractParameterEffect
 from eoi_jax.models.units import derivative_unit
 from eoi_jax.models.velocities import velocity_rows
-from eoi_jax.report.free_runs import FreeRuns, free_run_series, validation_runs
+from eoi_jax.report.free_runs import FreeRuns, free_run_series, record_title, validation_runs
 from eoi_jax.report.style import (
     ACCENT,
     BASE,
@@ -292,6 +292,6 @@ def free_runs(discovery: Discovery, record: int = 0) -> FreeRuns | None:
     runs = validation_runs(*results, record=record)
     data = "in-sample" if discovery.in_sample else "held-out"
     measured = discovery.held_out[record]
-    title = f"{data} record {measured.name}"
+    title = f"{data} {record_title(measured)}"
     plant = discovery.plant
     return FreeRuns(measured, runs.runs, plant.outputs, plant.units, title)

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from eoi_jax.refinement.result import Refinement
-from eoi_jax.report.free_runs import FreeRuns, Run, free_run_series
+from eoi_jax.report.free_runs import FreeRuns, Run, free_run_series, record_title
 from eoi_jax.report.style import (
     ACCENT,
     BASE,
@@ -83,7 +83,7 @@ def refined_runs(result: Refinement, record: int = 0) -> FreeRuns:
     if result.residual_before:
         residuals.insert(0, (result.residual_before[record], BASE, "before"))
     runs = tuple(Run(measured.outputs - error, colour, label) for error, colour, label in residuals)
-    return FreeRuns(measured, runs, plant.outputs, plant.units, f"record {measured.name}")
+    return FreeRuns(measured, runs, plant.outputs, plant.units, record_title(measured))
 
 
 # -- intervals and correlation -----------------------------------------------------------------

@@ -171,3 +171,12 @@ def worst_series(content: FreeRuns) -> TimeSeries | None:
     )
     detail = f"{complete.record} detail"
     return replace(complete, time=complete.time[window], panels=panels, record=detail)
+
+
+def record_title(record: Record) -> str:
+    """``record run 1``; of the default name, and of one that says that it is a record, the name.
+
+    Args:
+        record: with its name.
+    """
+    return record.name if record.name.startswith("record") else f"record {record.name}"

@@ -66,8 +66,9 @@ _NOISE = _CheckRule(
 _SATURATION = _CheckRule(
     "Saturation",
     (sentences.saturation,),
-    "Mask the samples at the limit, or put the limit into the model (effect `input_saturation` "
-    "for an input).",
+    "Mask the samples of an output at the limit, or put the limit into the model. An input at its "
+    "limit stays as it is, unless its sensor ends there; an actuator that ends below its command "
+    "is the effect `input_saturation`.",
 )
 _TIMING = _CheckRule(
     "Delay and feedback",

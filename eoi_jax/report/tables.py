@@ -282,25 +282,36 @@ def quantity(value: float, unit: str) -> str:
     return f"{value / factor:.3g} {prefix}{unit}"
 
 
-def with_error(value: float, error: float, exponent_below: float = 1e-5) -> str:
+def with_error(
+    value: float,
+    error: float,
+    exponent_below: float = 1e-5,
+    *,
+    plain: tuple[int, int] = (-4, 5),
+) -> str:
     """``20.42 ± 0.08``: digits that are significant with the error, five at most.
+
+    Both stand in one format, with a common exponent where they are very small or large: 1780 ± 110,
+    (1.27 ± 0.27)e-06.
 
     Args:
         value: the estimate.
         error: its standard error; NaN or 0, where it is not known, is not printed.
         exponent_below: an error below this is printed with an exponent; "9.3e-05" is hard to
             compare with the number before it.
+        plain: powers of ten between which numbers have no common exponent.
     """
     if not (np.isfinite(error) and error > 0 and np.isfinite(value)):
         return f"{value:.5g}"
-    size = np.floor(np.log10(max(abs(value), error)))
-    digits = int(min(4 - size, 1 - np.floor(np.log10(error))))
-    if digits < 0 or digits > 8:
-        return f"{value:.4g} ± {error:.2g}"
+    size = int(np.floor(np.log10(max(abs(value), error))))
+    if not plain[0] <= size <= plain[1]:
+        return f"({with_error(value / 10.0**size, error / 10.0**size)})e{size:+03d}"
+    last_digit = int(np.floor(np.log10(error))) - 1
+    digits = min(max(4 - size, 0), -last_digit)
     rounded_error = f"{error:.2g}"
     if error >= exponent_below:
-        rounded_error = np.format_float_positional(float(rounded_error), trim="-")
-    return f"{value:.{digits}f} ± {rounded_error}"
+        rounded_error = f"{round(error, -last_digit):.{max(-last_digit, 0)}f}"
+    return f"{round(value, digits):.{max(digits, 0)}f} ± {rounded_error}"
 
 
 def refinement_table(result: Refinement) -> str:

@@ -37,7 +37,7 @@ from eoi_jax.data.windows import (
     restart_notes,
     start_samples,
 )
-from eoi_jax.models.check_records import check_records
+from eoi_jax.models.check_records import check_records, unit_notes
 from eoi_jax.models.controller import Controller
 from eoi_jax.models.plant import Plant
 from eoi_jax.simulation.closed_loop import closed_loop
@@ -303,6 +303,7 @@ def _judged(
         limit = finest_steps(records, total_steps)
         prediction, count = _halved(prediction, run, records, pieces, limit)
     notes = [choice.note, *_start_notes(records, pieces, heads, window), *prediction.notes]
+    notes += unit_notes(plant, records)
     samples = prediction.samples(records)
     for name, counts in zip(plant.outputs, samples[2].T, strict=True):
         check(bool(np.any(counts)), f"records.outputs[{name}]",

@@ -456,6 +456,24 @@ def test_init_takes_several_files_and_the_names_of_columns(tmp_path: Path, monke
     assert "`time` must be one of" in done.stderr
 
 
+def test_init_keeps_instrument_tags_and_names_the_output_that_it_leaves_out(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    u = np.repeat(np.random.default_rng(0).choice([0.0, 1.0], 20), 20)
+    y = np.zeros((len(u), 2))
+    for k in range(len(u) - 1):
+        y[k + 1] = y[k] + np.array([0.05, 0.02]) * (u[k] - y[k])
+    table = np.column_stack([np.arange(len(u)), u, y])
+    header = "t [s],YC101.OUT,TIC101.PV,TIC102.PV"
+    np.savetxt("run.csv", table, delimiter=",", header=header, comments="")
+    tags = ["--inputs", "YC101.OUT", "--outputs", "TIC101.PV,TIC102.PV"]
+    done = CliRunner().invoke(app, ["init", "run.csv", *tags])
+    assert done.exit_code == 0, done.output
+    assert "one output, `TIC101.PV`. `TIC102.PV` may be outputs too" in done.stdout
+    text = Path("run.toml").read_text()
+    assert 'outputs = ["TIC101_PV"]' in text
+    assert 'inputs = ["YC101_OUT"]' in text
+
+
 @pytest.mark.parametrize("command", ["inspect", "init"])
 def test_a_file_that_cannot_be_read_is_one_sentence(command: str, tmp_path: Path, monkeypatch):
     monkeypatch.chdir(tmp_path)

@@ -152,5 +152,6 @@ def test_an_engine_is_told_only_where_it_is_slow():
     assert NATIVE.notes == ()
     assert EngineUsed("scan").notes == ()
     (line,) = EngineUsed("scan", "the operation qr").notes
+    assert "with the same numbers" in line
     assert "scan" in line
     assert "the operation qr" in line

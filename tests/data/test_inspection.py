@@ -13,7 +13,7 @@ import eoi_jax as eoi
 from eoi_jax._checks import RecordWarning
 from eoi_jax.cli import build, config
 from eoi_jax.cli.template import checked, draft
-from eoi_jax.data.column_names import role_of_name, stem, unit_of_name
+from eoi_jax.data.column_names import role_of_name, short_names, stem, unit_of_name
 from eoi_jax.data.inspection import Inspection, _band, inspect
 
 N = 600
@@ -193,6 +193,20 @@ def test_a_name_has_no_path_and_no_unit():
     assert [stem(name) for name in names] == [
         *("motorVoltage_2", "angle", "Pump", "Pump l/min", "Temp. 1"),
     ]
+
+
+@pytest.mark.parametrize(
+    ("names", "short"),
+    [
+        (["log.y [rad]", "log.u"], ["y", "u"]),
+        (["TIC101.PV", "YC101.OUT", "FI101.PV"], ["TIC101.PV", "YC101.OUT", "FI101.PV"]),
+        (["unit1/TIC101.PV", "unit1/Q [kW]"], ["TIC101.PV", "Q"]),
+        (["left.angle", "right.angle"], ["left.angle", "right.angle"]),
+        (["pv"], ["pv"]),
+    ],
+)
+def test_short_names_tell_columns_apart(names, short):
+    assert short_names(names) == short
 
 
 @pytest.mark.parametrize(

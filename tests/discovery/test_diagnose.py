@@ -241,6 +241,17 @@ def test_a_clipped_sensor_is_named_with_level_and_share():
     for level, share in levels.items():  # some samples are within a thousandth of the end
         assert share == pytest.approx(np.mean(y == level), rel=0.1)
     assert "saturates" in diagnosis.findings[0]
+    assert "Mask those samples" in diagnosis.findings[0]
+
+
+def test_an_input_at_its_limit_is_not_to_be_masked():
+    measured = record()
+    limit = 0.8 * np.max(measured.inputs)
+    u = np.clip(measured.inputs, -limit, limit)
+    diagnosis = found(eoi.Record(TIME, u, measured.outputs, hold="smooth"))
+    (finding, *_) = [line for line in diagnosis.findings if "saturates" in line]
+    assert "If that is what acts, as the output of a controller at its limit" in finding
+    assert "Mask" not in finding
 
 
 @pytest.mark.parametrize(

@@ -282,3 +282,6 @@ def test_inputs_must_be_as_many_as_the_plant_has():
     record = Record.from_period(H, np.zeros((20, 2)), SWAY(grid(20, H)))
     with pytest.raises(ValueError, match=r"inputs` must have 1 channel \(voltage\).*got 2"):
         check_records(SMOOTH, record)
+    record = Record.from_period(H, np.zeros((20, 0)), SWAY(grid(20, H)))
+    with pytest.raises(ValueError, match=r"got 0 .*Write `inputs=\(\)` in `Plant`"):
+        check_records(SMOOTH, record)

@@ -90,3 +90,48 @@ def test_the_rate_of_every_state_is_refused_with_the_reason_also_in_a_column():
         ValueError, match=r"got shape \(2, 1\)\. The lower ones follow from the high"
     ):
         eoi.Plant(lambda t, x, u, p: (x.y[1], -p.a * x.y[0]), {"a": 1.0}, 2)
+
+
+@pytest.mark.parametrize(
+    ("law", "message"),
+    [
+        (lambda x, u: x.y[1, 0], r"x.y\[1, 0\] .* write `relative_degree=2`"),
+        (lambda x, u: 2.0 * x.y[-2], r"x.y\[-2\] .* has 1 row .* write `relative_degree=2`"),
+        (lambda x, u: x.y[0, 2], r"x.y\[0, 2\] .* 2 columns \(h, q\)\.$"),
+        (lambda x, u: x.y[0][2], r"x.y\[0\]\[2\] .* 2 columns \(h, q\)\.$"),
+        (lambda x, u: u[1], r"u\[1\] .*has 1 input \(pump\): name all that it reads in `inputs`"),
+        (lambda x, u: x.z[1], r"x.z\[1\] .* has 1 internal state, as many as `internal_initial`"),
+    ],
+)
+def test_an_index_that_is_out_of_bounds_is_no_other_state(law, message):
+    """JAX takes the nearest element."""
+
+    def f(t, x, u, p):
+        return jnp.ones(2) * u[0] - p.a * jnp.reshape(law(x, u), -1)[0]
+
+    def g(t, x, u, p):
+        return jnp.reshape(law(x, u), -1)[:1]
+
+    def steady(t, x, u, p):
+        return u[0] - p.a * x.y[0]
+
+    start = {"internal_initial": [0.0]}
+    channels = {"inputs": ("pump",), "outputs": ("h", "q"), **start}
+    there = r"must read elements that are there, for others JAX takes the nearest, got "
+    with pytest.raises(ValueError, match=f"`dynamics` {there}{message}"):
+        eoi.Plant(f, {"a": 1.0}, 1, internal=lambda t, x, u, p: -x.z, **channels)
+    with pytest.raises(ValueError, match=f"`internal` {there}{message}"):
+        eoi.Plant(steady, {"a": 1.0}, 1, internal=g, **channels)
+
+
+def test_an_input_that_a_model_does_not_have_is_named():
+    with pytest.raises(ValueError, match=r"u\[0\] \(line .* The model has no input: name all that"):
+        eoi.Plant(lambda t, x, u, p: p.a * u[0], {"a": 1.0}, inputs=())
+
+
+def test_what_arrays_of_numpy_cannot_do_is_no_fault():
+    def f(t, x, u, p):
+        moved = x.y.at[0].set(0.0)
+        return p.a * moved[0] + jax.lax.cond(x.y[0, 0] > 0, jnp.sin, jnp.cos, u[0])
+
+    assert eoi.Plant(f, {"a": 1.0}).relative_degree == 1

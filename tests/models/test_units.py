@@ -4,7 +4,7 @@ import math
 
 import pytest
 
-from eoi_jax.models.units import dimension, is_rescaled, same_unit
+from eoi_jax.models.units import dimension, same_unit, units_agree
 
 TORQUE = {"kg": 1, "m": 2, "s": -2}
 
@@ -31,6 +31,10 @@ def test_spellings_of_a_torque_are_the_same(unit):
         ("deg", math.pi / 180.0, {}),
         ("N m s/deg", 180.0 / math.pi, {"kg": 1, "m": 2, "s": -1}),
         ("min", 60.0, {"s": 1}),
+        ("kWh", 3.6e6, TORQUE),
+        ("kΩ", 1e3, {"kg": 1, "m": 2, "s": -3, "A": -2}),
+        ("l/min", 1e-3 / 60.0, {"m": 3, "s": -1}),
+        ("mbar", 100.0, {"kg": 1, "m": -1, "s": -2}),
     ],
 )
 def test_factors_and_powers(unit, factor, powers):
@@ -40,7 +44,9 @@ def test_factors_and_powers(unit, factor, powers):
     assert known.powers == powers
 
 
-@pytest.mark.parametrize("unit", ["", " ", "px", "%", "lbf", "N m)", "2 N", "m²²"])
+@pytest.mark.parametrize(
+    "unit", ["", " ", "px", "% RH", "barg", "bar (g)", "Nm3/h", "N m)", "2 N", "m²²"]
+)
 def test_what_is_not_understood_is_none(unit):
     assert dimension(unit) is None
 
@@ -92,23 +98,48 @@ def test_units_that_differ_stay_different(first, second):
 
 
 @pytest.mark.parametrize(
-    ("first", "second", "rescaled"),
+    ("first", "second", "agree"),
     [
-        ("mm", "cm", True),
-        ("deg/s", "rad/s", True),
-        ("°F", "°C", True),
-        ("degF", "°F", False),
-        ("K", "°C", True),
-        ("kN", "N", True),
-        ("N m", "Nm", False),
-        ("rpm", "1/min", False),  # revolutions are counted, and so may others be
-        ("min", "°C", False),  # a minimum
+        ("mm", "cm", False),
+        ("deg/s", "rad/s", False),
+        ("°F", "°C", False),
+        ("degF", "°F", True),
+        ("C", "°C", True),
+        ("K", "°C", False),
+        ("W/K", "W/°C", True),
+        ("kN", "N", False),
+        ("N m", "Nm", True),
+        ("l/min", "m³/h", False),
+        ("L/min", "l/min", True),
+        ("gpm", "l/min", False),
+        ("bar", "Pa", False),
+        ("psi", "bar", False),
+        ("kg/h", "kg/s", False),
+        ("t/d", "kg/h", False),
+        ("W", "MW", False),
+        ("BTU/h", "kW", False),
+        ("rpm", "rad/s", False),
+        ("1/min", "rad/s", False),
+        ("rpm", "1/min", True),  # revolutions are counted
+        ("U/min", "rpm", True),
+        ("Hz", "1/s", True),
+        ("rad/s", "1/s", True),
+        ("Hz", "rad/s", False),
         ("A", "V", False),
-        ("raw", "V", False),
-        ("%", "1", False),
-        ("", "V", False),
+        ("%", "kW", False),
+        ("cm", "°C", False),
+        ("l/min", "%", False),
+        ("min", "s", False),
+        ("min", "°C", None),  # a minimum
+        ("in", "bar", None),  # an inlet
+        ("barg", "Pa", None),
+        ("raw", "V", None),
+        ("counts", "counts", True),
+        ("%", "1", None),
+        ("%", "-", True),
+        ("", "V", True),
     ],
 )
-def test_units_of_one_quantity_that_are_not_the_same(first, second, rescaled):
-    assert is_rescaled(first, second) is rescaled
-    assert is_rescaled(second, first) is rescaled
+def test_whether_a_channel_in_one_unit_may_be_in_another(first, second, agree):
+    assert units_agree(first, second) is agree
+    assert units_agree(second, first) is agree

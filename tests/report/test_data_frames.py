@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pandas as pd
 import pytest
+from found import discovery
 
 import eoi_jax as eoi
 from eoi_jax._display import Result, data_frame
@@ -167,3 +168,12 @@ def test_the_best_lane_of_a_sweep_is_a_row_too(swept):
 def test_what_is_no_sweep_is_refused(fit):
     with pytest.raises(ValueError, match="`sweep` must be what `sweep` returned, got Identif"):
         eoi.sweep_to_pandas(fit)
+
+
+def test_an_added_effect_that_is_refused_by_itself_is_told_so():
+    found = discovery()
+    ranking = [replace(one, remark="wrong sign") for one in found.ranking]
+    table = replace(found, ranking=tuple(ranking)).to_pandas()
+    remarks = {True: "by itself: wrong sign", False: "wrong sign"}
+    assert table["added"].any()
+    assert table["remark"].tolist() == [remarks[bool(one)] for one in table["added"]]

@@ -17,7 +17,8 @@ from eoi_jax.models.equations.printer import name_latex
 from eoi_jax.models.storage import save
 from eoi_jax.report import discovery_figures, tables
 from eoi_jax.report.contents import discovery_contents
-from eoi_jax.report.discovery import answer, described, discovery_text, texts
+from eoi_jax.report.discovery import answer, described, discovery_text, phrase, texts
+from eoi_jax.report.free_runs import record_title
 
 
 @pytest.fixture(scope="module")
@@ -293,15 +294,32 @@ def test_a_quantity_takes_a_prefix_where_its_unit_has_one(value, unit, shown):
     ("value", "error", "shown"),
     [
         (20.4196, 0.0834, "20.420 ± 0.083"),
-        (-3.26, 0.5, "-3.26 ± 0.5"),
+        (-3.26, 0.5, "-3.26 ± 0.50"),
         (0.400083, 6.1e-8, "0.40008 ± 6.1e-08"),
-        (185012.0, 420.0, "1.85e+05 ± 4.2e+02"),
+        (185012.0, 420.0, "185010 ± 420"),
+        (1781.0, 112.0, "1780 ± 110"),
+        (123456.0, 0.5, "123456 ± 0.50"),
+        (7.299e-8, 7.5e-8, "(7.3 ± 7.5)e-08"),
+        (1.27e-6, 2.7e-7, "(1.27 ± 0.27)e-06"),
+        (-7.28e6, 1.4e4, "(-7.280 ± 0.014)e+06"),
         (2.5, np.nan, "2.5"),
         (2.5, 0.0, "2.5"),
     ],
 )
 def test_an_estimate_has_the_digits_that_its_error_leaves(value, error, shown):
     assert tables.with_error(value, error) == shown
+
+
+def test_a_value_on_its_bound_is_told_in_place_of_its_error(found):
+    stribeck = effects.StribeckFriction()
+    names = ["stribeck_friction_level", "stribeck_friction_rise", "stribeck_friction_velocity"]
+    parameters = dict(zip(names, (0.0, 0.4, 0.1), strict=True))
+    errors = dict(zip(names, (np.nan, 0.05, 0.02), strict=True))
+    added = Added(stribeck, "position", parameters, errors, "Stribeck friction")
+    text = phrase(found, added)
+    assert text == (
+        "Stribeck friction (level 0, its bound, rise 0.400 ± 0.050, velocity 0.100 ± 0.020)"
+    )
 
 
 # -- the equation -----------------------------------------------------------------------------
@@ -486,6 +504,8 @@ def test_free_runs_are_drawn_against_the_measurement_with_their_errors(found):
     worst = [np.max(np.abs(np.asarray(line.get_ydata()))) for line in lower.lines]
     assert worst[1] < 0.05 * worst[0]
     assert lower.get_xlabel() == "time [s], held-out record run 2"
+    unnamed = HELD_OUT.with_outputs(HELD_OUT.outputs, "record")
+    assert record_title(unnamed) == "record"
 
 
 def test_a_run_that_diverges_does_not_hide_the_measurement(found):

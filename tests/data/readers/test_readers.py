@@ -9,8 +9,11 @@ from scipy.io import savemat
 
 from eoi_jax._checks import RecordWarning
 from eoi_jax.data.readers.read_record import read_record
-from eoi_jax.models.check_records import check_records
+from eoi_jax.estimation.identify import Identification, identify
+from eoi_jax.models.check_records import check_records, unit_notes
 from eoi_jax.models.plant import Plant
+from eoi_jax.refinement.refine import refine
+from eoi_jax.simulation.validate import validate
 
 N = 50
 T = 0.01 * np.arange(N)
@@ -382,6 +385,13 @@ def test_late_samples_of_a_2_ms_clock_are_no_gaps(data_directory):
 HEADERS = {"in the name": "t,valve [%],level [mm]\n", "in a row": "t,valve,level\ns,%,mm\n"}
 
 
+def test_a_column_of_the_same_name_in_another_unit_is_the_one_that_is_meant(tmp_path):
+    rows = "".join(f"{i},{i % 7},{i}\n" for i in range(40))
+    (tmp_path / "run.csv").write_text(f"t,Ta [degC],T [degF]\n{rows}")
+    with pytest.raises(ValueError, match=r"got `T \[degC\]`. Did you mean `T \[degF\]`\?"):
+        read_record(tmp_path / "run.csv", "t", "Ta [degC]", "T [degC]")
+
+
 @pytest.mark.parametrize("header", HEADERS.values(), ids=HEADERS)
 def test_the_unit_in_a_file_is_checked_where_the_caller_gives_none(tmp_path, header):
     """1 mm as 1 cm would be a wrong answer without a word."""
@@ -397,7 +407,16 @@ def test_the_unit_in_a_file_is_checked_where_the_caller_gives_none(tmp_path, hea
     for options in ({"scale": {names[2]: 0.1}}, {"units": {names[2]: "cm"}}):
         record = read_record(path, *names, **options)
         assert check_records(plant, record) == (record,)
-    path.write_text(path.read_text().replace("mm", "raw"))
+    assert unit_notes(plant, [record]) == []
+    table = path.read_text()
+    path.write_text(table.replace("mm", "bar"))
+    with pytest.raises(ValueError, match=r"for `h`, 'cm', got 'bar' in its file.*the right one"):
+        check_records(plant, read_record(path, *(name.replace("mm", "bar") for name in names)))
+    path.write_text(table.replace("mm", "raw"))
     names = [name.replace("mm", "raw") for name in names]
     record = read_record(path, *names)
     assert check_records(plant, record) == (record,)
+    for result in (identify(plant, record), refine(plant, record), validate(plant, record)):
+        notes = result.reasons if isinstance(result, Identification) else result.notes
+        (note,) = [note for note in notes if "'raw' in its file and in 'cm' in the model" in note]
+        assert note.endswith("is not known. If they are, give it by `units`")

@@ -1,0 +1,28 @@
+"""Effects that are asked for and cannot be tried."""
+
+import numpy as np
+
+import eoi_jax as eoi
+from eoi_jax.report.discovery import answer
+
+
+def test_an_effect_that_needs_held_out_records_is_not_called_tested():
+    """A hot body that radiates, of which the model knows the convection alone."""
+    time, celsius = 30.0 * np.arange(120), [400.0]
+    for _ in time[1:]:
+        kelvin = celsius[-1] + 273.15
+        radiated = (kelvin / 100) ** 4 - (294.15 / 100) ** 4
+        celsius.append(celsius[-1] - 30.0 * (4e-4 * (celsius[-1] - 21.0) + 1e-3 * radiated))
+    noise = 0.5 * np.random.default_rng(0).standard_normal(120)
+    body = eoi.Plant(
+        lambda t, x, u, p: -p.k * (x.y[0] - 21.0),
+        {"k": 3e-4},
+        inputs=(),
+        outputs=("temperature",),
+        units={"temperature": "degC"},
+    )
+    record = eoi.Record(time, np.zeros((120, 0)), np.asarray(celsius) + noise)
+    found = eoi.discover(body, record, effects=["radiation"])
+    assert found.status.code == "unexplained"
+    assert "no effect was tried: those that are asked for need held-out" in found.status.message
+    assert answer(found).startswith("The model lacks something, and no effect was tried: ")
