@@ -382,9 +382,8 @@ def _pair(
         for target, values in ((y, outputs[:-1]), (y_next, outputs[1:])):
             target[i, :count], target[i, count:] = values, values[-1]
         if directions is not None:
-            steps_of_run = np.repeat(
-                _directions(plant.degrees, run.outputs), prepared.substeps, axis=0
-            )
+            moved = _directions(plant.degrees, run.outputs, friction)
+            steps_of_run = np.repeat(moved, prepared.substeps, axis=0)
             directions[i, :count, :-1], directions[i, count:, :-1] = steps_of_run, steps_of_run[-1]
             directions[i, :, -1] = _speed(run)
     simulation = Simulated(y, y_next)
@@ -412,11 +411,15 @@ def _measured_steps(
 
 
 def _directions(
-    degrees: Sequence[int], outputs: Float[np.ndarray, "time ny"]
+    degrees: Sequence[int], outputs: Float[np.ndarray, "time ny"], friction: Sequence[int]
 ) -> Float[np.ndarray, "steps ny"]:
-    """Direction of each output in each step, 0 at rest, where a run repeats its output exactly."""
+    """Direction of each output in each step, 0 at rest, where a run repeats its output exactly.
+
+    It is always 1 without dry friction, where no motion turns abruptly.
+    """
     moved, speed = np.diff(outputs, axis=0), outputs[1:] + outputs[:-1]
-    return np.sign(np.where(np.asarray(degrees) == 1, speed, moved))
+    direction = np.sign(np.where(np.asarray(degrees) == 1, speed, moved))
+    return np.where(np.asarray(friction) > 0, direction, 1.0)
 
 
 def _speed(record: Record) -> float:
