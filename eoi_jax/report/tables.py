@@ -29,7 +29,7 @@ def identification_text(result: Identification) -> str:
         parameter_table(result),
         index_table(result),
         health_table(result),
-        f"observer  {_gains(result.observer)}\nlow-pass  {_gains(result.lowpass)}",
+        f"observer  {gains_text(result.observer)}\nlow-pass  {gains_text(result.lowpass)}",
         "\n".join(f"- {line}" for line in (*result.reasons, *result.notes, *result.engine.notes)),
     ]
     return "\n\n".join(block for block in blocks if block)
@@ -215,12 +215,12 @@ def health_table(result: Identification) -> str:
     return columns(rows, "<>>")
 
 
-def _gains(module: Any) -> str:
+def gains_text(module: Any) -> str:
     """An observer or a filter as its name and gains: ``SecondOrder(c1 17.5, c2 57.2, …)``."""
     gains = []
     for name, value in vars(module).items():
         if isinstance(value, tuple) and value and not np.isscalar(value[0]):
-            gains += [_gains(part) for part in value]
+            gains += [gains_text(part) for part in value]
         elif isinstance(value, str):
             gains.append(value)
         else:
