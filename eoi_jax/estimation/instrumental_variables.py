@@ -34,7 +34,7 @@ from eoi_jax.estimation.instrument_kernel import PairSums, Rows, Simulated, run_
 from eoi_jax.estimation.iteration import Iteration, group_by_sample, mean, sample_counts
 from eoi_jax.estimation.kernel import Steps, Sums
 from eoi_jax.estimation.observers.observer import AbstractObserver
-from eoi_jax.estimation.preparation import PreparedRecords, prepare_steps, step_inputs
+from eoi_jax.estimation.preparation import PreparedRecords, prepare_steps, smoothed, step_inputs
 from eoi_jax.estimation.regression.instrumental import within_bounds
 from eoi_jax.estimation.regression.robust_covariance import long_run
 from eoi_jax.estimation.regression.sample_rows import SampleRows, sample_rows
@@ -377,7 +377,7 @@ def _pair(
     y, y_next = np.zeros(shape), np.zeros(shape)
     directions = np.zeros((*shape[:2], shape[2] + 1)) if has_friction else None
     for i, run in enumerate(runs.simulated):
-        outputs = _prepared(run, prepared).outputs
+        outputs = _prepared(plant, run, prepared).outputs
         count = len(outputs) - 1
         for target, values in ((y, outputs[:-1]), (y_next, outputs[1:])):
             target[i, :count], target[i, count:] = values, values[-1]
@@ -432,12 +432,12 @@ def _speed(record: Record) -> float:
 def _measured(plant: Plant, record: Record, prepared: PreparedRecords) -> Record:
     if prepared.follows(plant):
         return resampled(plant, record, prepared.substeps)
-    return _prepared(record, prepared)
+    return _prepared(plant, record, prepared)
 
 
-def _prepared(record: Record, prepared: PreparedRecords) -> Record:
+def _prepared(plant: Plant, record: Record, prepared: PreparedRecords) -> Record:
     if prepared.smoothing:
-        record = record.smooth(prepared.smoothing)
+        record = smoothed(plant, record, prepared.smoothing)
     return record.resample(prepared.substeps)
 
 
