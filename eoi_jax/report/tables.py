@@ -12,7 +12,7 @@ from eoi_jax.models.plant import Plant
 from eoi_jax.refinement.result import Refinement
 from eoi_jax.simulation.validate import Validation
 from eoi_jax.uncertainty.profile_likelihood import Profile
-from eoi_jax.uncertainty.uncertainty import Uncertainty, uncertainty
+from eoi_jax.uncertainty.uncertainty import Uncertainty, freedom_notes, uncertainty
 
 
 def identification_text(result: Identification) -> str:
@@ -30,7 +30,7 @@ def identification_text(result: Identification) -> str:
         index_table(result),
         health_table(result),
         f"observer  {gains_text(result.observer)}\nlow-pass  {gains_text(result.lowpass)}",
-        "\n".join(f"- {line}" for line in (*result.reasons, *result.notes, *result.engine.notes)),
+        "\n".join(f"- {line}" for line in _remarks(result, *result.reasons)),
     ]
     return "\n\n".join(block for block in blocks if block)
 
@@ -322,7 +322,11 @@ def refinement_table(result: Refinement) -> str:
         result.plant.outputs, result.before, result.rmse, strict=True
     ):
         lines.append(f"  {name}: {initial_rmse:.5g} → {rmse:.5g} {units.get(name, '')}".rstrip())
-    return "\n".join([*lines, *(f"- {note}" for note in (*result.notes, *result.engine.notes))])
+    return "\n".join([*lines, *(f"- {note}" for note in _remarks(result))])
+
+
+def _remarks(result: Identification | Refinement, *reasons: str) -> tuple[str, ...]:
+    return *reasons, *freedom_notes(result), *result.notes, *result.engine.notes
 
 
 def validation_text(result: Validation) -> str:
