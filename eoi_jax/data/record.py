@@ -4,7 +4,7 @@ A record holds NumPy arrays on the host; kernels take their arrays from it.
 """
 
 import copy
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any
@@ -41,7 +41,6 @@ from eoi_jax.data.digest import digest
 from eoi_jax.data.input_holds import (
     Hold,
     HoldArgument,
-    columns_by_hold,
     declared_or_suggested,
     hold_of_each,
     hold_text,
@@ -492,7 +491,7 @@ class Record(Result):
         delays = None if self._skew is None else self._skew / self.sample_period
         return acting_inputs(self.inputs, self.input_segments(), delays, substeps, self.hold)
 
-    def smooth(self, cutoff: Real) -> "Record":
+    def smooth(self, cutoff: Real, inputs: Sequence[str] | None = None) -> "Record":
         """The record filtered by a zero-phase low-pass, the same for inputs and outputs.
 
         A filter composed of shifts by whole samples commutes with any linear plant, so the filtered
@@ -508,37 +507,46 @@ class Record(Result):
 
         Args:
             cutoff: cut-off frequency, at which the amplitude is one half [rad/s].
+            inputs: names of those that are filtered; None: all. Leave out those in which the plant
+                is not affine: the square of a filtered input is not the filtered square.
 
         Raises:
-            ValueError: `cutoff` is not between 0 and the Nyquist frequency π / sample_period.
+            ValueError: `cutoff` is not between 0 and the Nyquist frequency π / sample_period, or a
+                name that is none of the record's inputs.
         """
         nyquist = np.pi / self.sample_period
         rule = f"must lie in (0, {nyquist:g}) rad/s, below the Nyquist frequency"
         check(bool(0 < cutoff < nyquist), "cutoff", rule, cutoff)
         if self._is_slow:
-            return self.bridged.smooth(cutoff)
-        inputs, outputs = np.array(self.inputs), np.array(self.outputs)
+            return self.bridged.smooth(cutoff, inputs)
+        for name in () if inputs is None else inputs:
+            check_choice("inputs", name, self.input_names)
+        filtered = [inputs is None or name in inputs for name in self.input_names]
+        smooth_inputs, outputs = np.array(self.inputs), np.array(self.outputs)
         share = float(cutoff) / nyquist
         for start, stop in self.input_segments():
-            inputs[start:stop] = low_pass(inputs[start:stop], share)
-            for word, columns in columns_by_hold(self.hold):
-                if word == "zero":
-                    levels = inputs[start:stop, columns]
-                    inputs[start:stop, columns] = staircase_to_smooth(levels)
+            for j in np.flatnonzero(filtered):
+                levels = low_pass(smooth_inputs[start:stop, [j]], share)
+                is_held = self.holds[j] == "zero"
+                smooth_inputs[start:stop, [j]] = staircase_to_smooth(levels) if is_held else levels
         for columns, mask in channel_groups(self.output_valid):
             for start, stop in runs(mask):
                 outputs[start:stop, columns] = low_pass(outputs[start:stop, columns], share)
         position = np.arange(len(self), dtype=float)
         u_valid, measured = self.input_valid[:, None], self.output_valid
-        inputs = fill(position, np.where(u_valid, inputs, np.nan), position)
+        smooth_inputs = fill(position, np.where(u_valid, smooth_inputs, np.nan), position)
         outputs = fill(position, np.where(measured, outputs, np.nan), position)
+        which = "Inputs and outputs" if all(filtered) else ", ".join(["Outputs", *(inputs or ())])
         new = self._changed(
-            f"Inputs and outputs smoothed by the same zero-phase low-pass, {float(cutoff):g} rad/s."
+            f"{which} smoothed by the same zero-phase low-pass, {float(cutoff):g} rad/s."
         )
         masks = self.valid, self.input_valid, measured
-        new._set(inputs, outputs, masks, self.time, self.sample_period)
+        new._set(smooth_inputs, outputs, masks, self.time, self.sample_period)
         cutoffs, logged = (*self.smoothed, float(cutoff)), self.logged_hold
-        made = {"hold": "smooth", "_logged_hold": logged, "smoothed": cutoffs}
+        holds = [
+            "smooth" if smooth else hold for smooth, hold in zip(filtered, self.holds, strict=True)
+        ]
+        made = {"hold": shared(holds), "_logged_hold": logged, "smoothed": cutoffs}
         new._assign({**self._of_the_samples, **made})
         noise = self.noise / self.noise_left * new.noise_left
         return new._assign({"_noise": noise, "_quantum": np.zeros_like(noise)})

@@ -41,6 +41,7 @@ from eoi_jax.estimation.observers import (
 from eoi_jax.estimation.observers.observer import AbstractObserver
 from eoi_jax.models.jacobians import derivatives
 from eoi_jax.models.plant import Plant
+from eoi_jax.models.used_inputs import affine_inputs
 
 
 @dataclass(frozen=True)
@@ -269,10 +270,19 @@ def default_smoothing(
         for cutoff in (False, smoothing)
     )
     reason = (
-        f"smoothed at {smoothing:.4g} rad/s, outputs and inputs alike, zero phase: the noise of "
+        f"smoothed at {smoothing:.4g} rad/s, {_smoothed_channels(plant)}, zero phase: the noise of "
         f"the velocity falls from {raw_noise:.2g} to {smoothed_noise:.2g}"
     )
     return smoothing, [reason]
+
+
+def _smoothed_channels(plant: Plant) -> str:
+    raw = [
+        name for name, affine in zip(plant.inputs, affine_inputs(plant), strict=True) if not affine
+    ]
+    if not raw:
+        return "outputs and inputs alike"
+    return f"outputs, and inputs but for those in which the model is not affine ({', '.join(raw)})"
 
 
 def output_noise(

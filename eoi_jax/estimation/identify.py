@@ -193,8 +193,9 @@ def identify(
             constants of F, or the record's `burn_in` if that is longer.
         substeps: steps per sample, on a quintic spline through the record; by default as many as
             make the step short against the band of F, 1 for the explicit form.
-        smoothing: cut-off [rad/s] of a zero-phase filter on outputs and inputs; False for none; by
-            default chosen where the measurement noise hides the velocity.
+        smoothing: cut-off [rad/s] of a zero-phase filter on outputs, and inputs in which the model
+            is affine, some times that of `lowpass`; False for none; by default chosen where the
+            measurement noise hides the velocity.
         instruments: whether iterations with instrumental variables follow
             (`instrumental_variables.py`), whose estimate is not biased by measurement noise or
             discretisation; False is the paper's method. By default they follow where the records

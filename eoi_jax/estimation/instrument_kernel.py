@@ -26,6 +26,7 @@ from eoi_jax.estimation.kernel import Carry, Kernel, Step, Steps, step_rows
 from eoi_jax.estimation.lowpass import DiscreteFilter
 from eoi_jax.estimation.observers.observer import AbstractObserver
 from eoi_jax.models.plant import Plant, State
+from eoi_jax.models.velocities import velocity_rows
 from eoi_jax.simulation.integrator import rate_of
 from eoi_jax.simulation.known_direction import turn
 from eoi_jax.simulation.runge_kutta import runge_kutta_step
@@ -271,9 +272,8 @@ class _Pair(eqx.Module):
         ny, columns = len(self.plant.outputs), filtered.shape[1] // 2
         factor = turn(self.plant, self.theta, row.time, x, row.u, previous_direction)
         is_sensitivity = np.arange(2 * columns) % columns > 0
-        rates = filtered[ny : 2 * ny]
-        rates = jnp.where(is_sensitivity, factor[:, None] * rates, rates)
-        return filtered.at[ny : 2 * ny].set(rates)
+        rows = ny * np.asarray(velocity_rows(self.plant.degrees)) + np.arange(ny)
+        return filtered.at[rows].multiply(jnp.where(is_sensitivity, factor[:, None], 1.0))
 
     def _simulated_state(self, kernels: Carry, y: Output) -> State:
         """The simulated state."""

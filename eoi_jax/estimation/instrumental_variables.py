@@ -34,7 +34,7 @@ from eoi_jax.estimation.instrument_kernel import PairSums, Rows, Simulated, run_
 from eoi_jax.estimation.iteration import Iteration, group_by_sample, mean, sample_counts
 from eoi_jax.estimation.kernel import Steps, Sums
 from eoi_jax.estimation.observers.observer import AbstractObserver
-from eoi_jax.estimation.preparation import PreparedRecords, prepare_steps, step_inputs
+from eoi_jax.estimation.preparation import PreparedRecords, prepare_steps, smoothed, step_inputs
 from eoi_jax.estimation.regression.instrumental import within_bounds
 from eoi_jax.estimation.regression.robust_covariance import long_run
 from eoi_jax.estimation.regression.sample_rows import SampleRows, sample_rows
@@ -377,14 +377,13 @@ def _pair(
     y, y_next = np.zeros(shape), np.zeros(shape)
     directions = np.zeros((*shape[:2], shape[2] + 1)) if has_friction else None
     for i, run in enumerate(runs.simulated):
-        outputs = _prepared(run, prepared).outputs
+        outputs = _prepared(plant, run, prepared).outputs
         count = len(outputs) - 1
         for target, values in ((y, outputs[:-1]), (y_next, outputs[1:])):
             target[i, :count], target[i, count:] = values, values[-1]
         if directions is not None:
-            steps_of_run = np.repeat(
-                _directions(plant.degrees, run.outputs), prepared.substeps, axis=0
-            )
+            moved = _directions(plant.degrees, run.outputs, friction)
+            steps_of_run = np.repeat(moved, prepared.substeps, axis=0)
             directions[i, :count, :-1], directions[i, count:, :-1] = steps_of_run, steps_of_run[-1]
             directions[i, :, -1] = _speed(run)
     simulation = Simulated(y, y_next)
@@ -412,11 +411,15 @@ def _measured_steps(
 
 
 def _directions(
-    degrees: Sequence[int], outputs: Float[np.ndarray, "time ny"]
+    degrees: Sequence[int], outputs: Float[np.ndarray, "time ny"], friction: Sequence[int]
 ) -> Float[np.ndarray, "steps ny"]:
-    """Direction of each output in each step, 0 at rest, where a run repeats its output exactly."""
+    """Direction of each output in each step, 0 at rest, where a run repeats its output exactly.
+
+    It is always 1 without dry friction, where no motion turns abruptly.
+    """
     moved, speed = np.diff(outputs, axis=0), outputs[1:] + outputs[:-1]
-    return np.sign(np.where(np.asarray(degrees) == 1, speed, moved))
+    direction = np.sign(np.where(np.asarray(degrees) == 1, speed, moved))
+    return np.where(np.asarray(friction) > 0, direction, 1.0)
 
 
 def _speed(record: Record) -> float:
@@ -429,12 +432,12 @@ def _speed(record: Record) -> float:
 def _measured(plant: Plant, record: Record, prepared: PreparedRecords) -> Record:
     if prepared.follows(plant):
         return resampled(plant, record, prepared.substeps)
-    return _prepared(record, prepared)
+    return _prepared(plant, record, prepared)
 
 
-def _prepared(record: Record, prepared: PreparedRecords) -> Record:
+def _prepared(plant: Plant, record: Record, prepared: PreparedRecords) -> Record:
     if prepared.smoothing:
-        record = record.smooth(prepared.smoothing)
+        record = smoothed(plant, record, prepared.smoothing)
     return record.resample(prepared.substeps)
 
 

@@ -20,7 +20,9 @@ deviations away are crossed by a process with the memory T at the rate u² Q(u)/
 Ornstein–Uhlenbeck process: H. Cramér, M. Leadbetter, *Stationary and Related Stochastic Processes*
 (1967), chapter 12; D. Aldous, *Probability Approximations via the Poisson Clumping Heuristic*
 (1989), D10), which is set to the rate of false alarms that is asked for; the threshold is the
-quantile of F with the same tail Q(u).
+quantile of F with the same tail Q(u). The squares w² r² behind P are worth n = (Σw²)²/Σw⁴ equal
+ones, and w r is correlated over time with the coefficients c_l, so that N = n / Σ_l c_l². Where
+Σw² / Σ_l c_l² is small, P is hardly known, or s hardly moves: there is no alarm then.
 """
 
 from collections.abc import Sequence
@@ -34,9 +36,12 @@ import numpy as np
 from jaxtyping import Array, Bool, Float
 
 from eoi_jax._checks import check, check_kind, check_positive, check_shape, real
+from eoi_jax._display import text
 from eoi_jax._types import Output, Scalar
 from eoi_jax.compiler.jax_private import Tracer
+from eoi_jax.data.masks import SETTINGS
 from eoi_jax.data.record import Record
+from eoi_jax.estimation.defaults import velocity_noise
 from eoi_jax.estimation.identify import Identification
 from eoi_jax.estimation.kernel import Carry, Kernel, Step
 from eoi_jax.estimation.lowpass import DiscreteFilter, LowPass
@@ -60,6 +65,7 @@ class OnlineSettings:
 
     time_constants: float = 20.0  # of F, over which the injection's noise is correlated
     deviations: tuple[float, float] = (1.5, 12.0)  # u of a threshold
+    min_independent: float = 10.0  # samples of full weight: P known within a factor of two (95 %)
     memory: float = 3.0  # T by default, in time constants of F: benchmarks/…/residual_alarm.py
 
 
@@ -215,6 +221,10 @@ class OnlineEstimator(eqx.Module):
         self.mask = OnlineMask(plant, observer, skipped, TAPER / real(lowpass.cutoff) / h, spread)
         self.alarm = _checked_alarm(alarm, ny, h)
 
+    def __str__(self) -> str:
+        """A table of several lines."""
+        return text(self)
+
     @property
     def kernel(self) -> Kernel:
         """Observer and filter."""
@@ -358,7 +368,7 @@ def online_estimator(
     *,
     forgetting: float = 1.0,
     memory: float | None = None,
-    false_alarms: float = 1.0 / 3600.0,
+    false_alarms: float | None = 1.0 / 3600.0,
 ) -> OnlineEstimator:
     """The estimator of an identification, for a loop in real time with the records' sampling.
 
@@ -371,21 +381,23 @@ def online_estimator(
         forgetting: λ of the recursion: it remembers about 1/(1 - λ) samples.
         memory: time over which the alarm takes the injection's power [s]; None: three time
             constants of the filter, 3/ω_c, and no less than the sample period.
-        false_alarms: rate of false alarms [1/s], for Gaussian noise; by default one an hour.
+        false_alarms: rate of false alarms [1/s], for Gaussian noise; by default one an hour. None:
+            an estimator without an alarm.
 
     Returns:
         The estimator; its `alarm` has the power of the noise and the threshold.
 
     Raises:
-        ValueError: no estimate, records of several sample periods or none that count, what
-            `OnlineEstimator` refuses, a rate that is not positive, a memory shorter than the
-            sample period.
+        ValueError: no estimate, records of several sample periods or none that count, too few
+            independent samples for an alarm, what `OnlineEstimator` refuses, a rate that is not
+            positive, a memory shorter than the sample period.
     """
     check_kind("result", result, Identification, "a result of `identify`")
     rule = "must have an estimate"
     check(result.status.fits, "result", rule, str(result.status))
     check(memory is None or real(memory) > 0, "memory", "must be positive [s]", memory)
-    check(real(false_alarms) > 0, "false_alarms", "must be positive [1/s]", false_alarms)
+    rate = None if false_alarms is None else real(false_alarms)
+    check(rate is None or rate > 0, "false_alarms", "must be positive [1/s]", false_alarms)
     plant = result.plant
     used = check_records(plant, records)
     periods = sorted({record.sample_period for record in used})
@@ -403,21 +415,21 @@ def online_estimator(
         )
         for record in used
     ]  # fmt: skip
-    counts = np.sum([np.sum(part.score, axis=0) for part in passes], axis=0)
-    check(np.all(counts > 1), "records", "must have samples that count", counts.tolist())
+    scores = np.concatenate([np.asarray(part.score) for part in passes])
+    lost = _lost_steps(plant, used, scores)
+    check(np.all(np.sum(scores, axis=0) > 1), "records", _COUNTS, lost, _FEWER_LOST)
     weights = [np.asarray(part.score * part.weight) for part in passes]
     injections = [
         weight * np.asarray(part.injection) for weight, part in zip(weights, passes, strict=True)
     ]
-    squares, counts = (
-        np.sum([np.sum(part**2, axis=0) for part in parts], axis=0)
-        for parts in (injections, weights)
-    )
-    power = squares / counts
-    lags = int(np.ceil(_SETTINGS.time_constants / (result.lowpass.cutoff * periods[0])))
-    correlation = _correlation(injections, lags) / (counts * power)
-    threshold = _threshold(correlation, counts, periods[0], memory, real(false_alarms))
-    alarm = Alarm(power, memory, threshold)
+    power = _sum_of_powers(injections, 2) / _sum_of_powers(weights, 2)
+    alarm = None
+    if rate is not None:
+        lags = int(np.ceil(_SETTINGS.time_constants / (result.lowpass.cutoff * periods[0])))
+        correlation = _correlation(injections, lags) / _sum_of_powers(injections, 2)
+        independent = _checked_independent(correlation, weights, lost)
+        threshold = _threshold(correlation, independent, periods[0], memory, rate)
+        alarm = Alarm(power, memory, threshold)
     return OnlineEstimator(
         plant,
         result.observer,
@@ -429,6 +441,44 @@ def online_estimator(
         hold=hold,
         alarm=alarm,
     )
+
+
+_COUNTS = "must have steps that count"
+_FEWER_LOST = (
+    "Less noise, faster motions or a longer sample period leave more of them: the velocity of one "
+    "step has the noise √2 σ/h."
+)
+_MORE_SAMPLES = (
+    "Give longer records or more of them, or take `false_alarms=None`, an estimator without an "
+    f"alarm. {_FEWER_LOST}"
+)
+
+
+def _lost_steps(
+    plant: Plant, records: Sequence[Record], scores: Float[np.ndarray, "steps ny"]
+) -> str:
+    """Share of the steps that count, of the output with the fewest, and what the others lack."""
+    shares = np.mean(scores, axis=0)
+    output = int(np.argmin(shares))
+    text = f"{shares[output]:.2g} of the steps of {plant.outputs[output]} count"
+    rubbing = np.flatnonzero(np.asarray(plant.jumps)[output])
+    if not rubbing.size:
+        return f"{text}, behind the transient and gaps"
+    noise = np.max([velocity_noise(plant.degrees, record, False) for record in records], axis=0)
+    speeds = " and ".join(
+        f"{SETTINGS.certainty * noise[j]:.2g} of {plant.outputs[j]}" for j in rubbing
+    )
+    return (
+        f"{text}, those away from velocities below {speeds}, "
+        f"{SETTINGS.certainty:g} standard deviations of their noise, where the direction of dry "
+        "friction is not certain"
+    )
+
+
+def _sum_of_powers(
+    signals: Sequence[Float[np.ndarray, "time ny"]], power: int
+) -> Float[np.ndarray, " ny"]:
+    return np.sum([np.sum(signal**power, axis=0) for signal in signals], axis=0)
 
 
 def _correlation(
@@ -443,9 +493,34 @@ def _correlation(
     return total
 
 
+def _squares(correlation: Float[np.ndarray, "lags ny"]) -> Float[np.ndarray, "lags ny"]:
+    """c_l², both signs of a lag together."""
+    return np.where(np.arange(len(correlation)) == 0, 1.0, 2.0)[:, None] * correlation**2
+
+
+def _independent(
+    correlation: Float[np.ndarray, "lags ny"], counts: Float[np.ndarray, " ny"]
+) -> float:
+    """N of all outputs together, for the number n of each."""
+    return float(np.sum(counts / np.sum(_squares(correlation), axis=0)))
+
+
+def _checked_independent(
+    correlation: Float[np.ndarray, "lags ny"],
+    weights: Sequence[Float[np.ndarray, "time ny"]],
+    lost: str,
+) -> float:
+    """N, once it is enough for an alarm; `lost` says why it may be small."""
+    squares, least = _sum_of_powers(weights, 2), _SETTINGS.min_independent
+    weighed = _independent(correlation, squares)
+    rule = f"must hold at least {least:g} independent samples of the injection for an alarm"
+    check(weighed >= least, "records", rule, f"{weighed:.2g}: {lost}", _MORE_SAMPLES)
+    return _independent(correlation, squares**2 / _sum_of_powers(weights, 4))
+
+
 def _threshold(
     correlation: Float[np.ndarray, "lags ny"],
-    counts: Float[np.ndarray, " ny"],
+    independent: float,
     period: float,
     memory: float,
     rate: float,
@@ -455,12 +530,9 @@ def _threshold(
     from scipy.stats import f, norm
 
     share = period / memory
-    squares = 2.0 * correlation**2
-    decay = (1.0 - share) ** np.arange(len(squares))[:, None]
-    twice = np.where(np.arange(len(squares)) == 0, 1.0, 2.0)[:, None]
-    variances = share / (2.0 - share) * np.sum(twice * decay * squares, axis=0)
+    decay = (1.0 - share) ** np.arange(len(correlation))[:, None]
+    variances = 2.0 * share / (2.0 - share) * np.sum(decay * _squares(correlation), axis=0)
     variance = np.sum(variances) / len(variances) ** 2
-    independent = np.sum(counts / (0.5 * np.sum(twice * squares, axis=0)))
 
     def excess(deviation: float) -> float:
         return float(2.0 * np.log(deviation) + norm.logsf(deviation) - np.log(rate * memory))

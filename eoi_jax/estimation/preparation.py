@@ -37,6 +37,7 @@ from eoi_jax.estimation.observers.per_output import PerOutput
 from eoi_jax.estimation.within_samples import follows_model, resampled
 from eoi_jax.models.jacobians import entering_outputs
 from eoi_jax.models.plant import Plant
+from eoi_jax.models.used_inputs import affine_inputs
 
 # Weights rise over this many time constants of F beside steps that do not count.
 TAPER = 2.0
@@ -230,7 +231,7 @@ def prepare_records(
         reasons += reason
     noise = tuple(velocity_noise(plant.degrees, record, smoothing) for record in records)
     if smoothing:
-        records = tuple(record.smooth(smoothing) for record in records)
+        records = tuple(smoothed(plant, record, smoothing) for record in records)
     if substeps is None:
         single = explicit or not any(plant.degrees)
         substeps, reason = (1, []) if single else default_substeps(records, lowpass.cutoff)
@@ -241,6 +242,21 @@ def prepare_records(
         records, fine, inputs, noise, lowpass, substeps, smoothing, explicit, tuple(reasons)
     )
     return prepared.interpolated_by(plant)
+
+
+def smoothed(plant: Plant, record: Record, cutoff: float) -> Record:
+    """Outputs behind a zero-phase low-pass, and with them the inputs in which the plant is affine.
+
+    Those the plant passes on as the filter does. Of any other the filtered square, say, is not the
+    square of what is filtered: it stays as it is, and F, far below the cut-off, sees no difference.
+
+    Args:
+        plant: the model.
+        record: with its inputs, or without any.
+        cutoff: as of `Record.smooth`.
+    """
+    pairs = zip(record.input_names, affine_inputs(plant), strict=False)
+    return record.smooth(cutoff, [name for name, affine in pairs if affine])
 
 
 def step_inputs(record: Record, explicit: bool) -> Float[np.ndarray, "steps nu"]:

@@ -1,4 +1,4 @@
-"""Inputs that the equations of a plant have, found by probing."""
+"""Inputs that the equations of a plant have, and how, found by probing."""
 
 from typing import Any
 
@@ -22,14 +22,36 @@ def used_inputs(plant: Plant, points: int = 16) -> Bool[np.ndarray, "ny nu"]:
     """
     if not plant.inputs:
         return np.zeros((len(plant.outputs), 0), dtype=bool)
-    draw = np.random.default_rng(0)  # any points: an input that is not there shows at none
+    direct, inner = along(_slopes, ("fixed", "rows"), plant, _points(plant, points))
+    # A slope that is no number is one all the same.
+    return np.any(direct != 0.0, axis=0) | np.any(inner != 0.0, axis=(0, 1))
+
+
+def affine_inputs(plant: Plant, points: int = 16) -> Bool[np.ndarray, " nu"]:
+    """In which inputs, behind the actuator, the plant is affine, whatever its state.
+
+    Arguments are those of `used_inputs`. Two that stand in a product are no such inputs.
+    """
+    if not plant.inputs:
+        return np.zeros(0, dtype=bool)
+    t, y, u = _points(plant, points)
+    first, second = (
+        np.concatenate(along(_slopes, ("fixed", "rows"), plant, (t, y, inputs)), axis=1)
+        for inputs in (u, -0.3 * u[::-1])
+    )
+    with np.errstate(invalid="ignore"):
+        equal = np.abs(first - second) <= 1e-9 * np.maximum(np.abs(first), np.abs(second))
+    return np.all(equal | (np.isnan(first) & np.isnan(second)), axis=(0, 1))
+
+
+def _points(plant: Plant, points: int) -> tuple[Any, Any, Any]:
+    """Time, outputs and inputs at any points: an input that is not there shows at none."""
+    draw = np.random.default_rng(0)
     y = draw.uniform(0.1, 1.0, (points, plant.rows, len(plant.outputs)))
     y *= 10.0 ** draw.uniform(-1.0, 3.0, (points, 1, 1))
     u = draw.uniform(0.1, 1.0, (points, len(plant.inputs)))
     u *= 10.0 ** draw.uniform(-1.0, 3.0, (points, 1))
-    direct, inner = along(_slopes, ("fixed", "rows"), plant, (np.zeros(points), y, u))
-    # A slope that is no number is one all the same.
-    return np.any(direct != 0.0, axis=0) | np.any(inner != 0.0, axis=(0, 1))
+    return np.zeros(points), y, u
 
 
 def _slopes(plant: Plant, point: tuple[Any, ...]) -> tuple[Any, Any]:

@@ -237,7 +237,8 @@ def _status(fit: Fit, lost: Sequence[str], factors: Sequence[CommonFactor]) -> S
             sentences.append(_UNTRACED.format("; ".join(lost)))
         return Status("unidentifiable", ". ".join(sentences))
     if predicted_reduction < CONVERGED:
-        return Status("converged", f"no step lowers the cost any further, after {fit.steps}")
+        of_all = counted(fit.steps, "step")
+        return Status("converged", f"no step lowers the cost any further, after {of_all} in all")
     if bool(outcome.exhausted):
         return Status("passes_exhausted", _MORE_STEPS.format(predicted_reduction))
     cause = _KINKS if np.any(fit.problem.kernel.plant.jumps) else _FAR_FROM_LINEAR

@@ -28,7 +28,7 @@ from eoi_jax.report.tables import (
 from eoi_jax.report.time_series import TimeSeries, time_series_figure
 from eoi_jax.simulation.sensor_noise import sensor_noise
 from eoi_jax.simulation.validate import Validation
-from eoi_jax.uncertainty.uncertainty import Uncertainty, uncertainty
+from eoi_jax.uncertainty.uncertainty import Uncertainty, freedom_notes, uncertainty
 
 _MAX_OUTPUTS = 3  # outputs with maps and tiles of their own
 
@@ -133,7 +133,7 @@ def discovery_contents(result: Discovery, extra: Mapping[str, Any]) -> Contents:
         (*_discovery_figures(result), *_maps(diagnosis)),
         final_tables,
         health(diagnosis, searched=result.status.code, explained=result.explained),
-        tuple(filter(None, [discovery.lead(result), *result.notes])),
+        tuple(filter(None, [discovery.lead(result), *freedom_notes(result.found), *result.notes])),
         added=bool(result.added),
         badge=_error_over_noise(discovery.compared_runs(result)[1], in_sample=result.in_sample),
     )
@@ -168,7 +168,8 @@ def identification_contents(result: Identification, extra: Mapping[str, Any]) ->
     report_figures += _estimates(uncertainty(result), result.nominal.parameters)
     report_figures += _over_records(result)
     report_figures += _maps(extra["diagnosis"])
-    notes = (*result.reasons, *result.notes, *(validation.notes if validation is not None else ()))
+    of_runs = validation.notes if validation is not None else ()
+    notes = (*result.reasons, *freedom_notes(result), *result.notes, *of_runs)
     checks = health(extra["diagnosis"])
     return Contents(
         tuple(tiles), tuple(tables), tuple(report_figures), (), checks, notes,
@@ -222,7 +223,7 @@ def refinement_contents(result: Refinement, extra: Mapping[str, Any]) -> Content
         tuple(report_figures),
         (),
         health(extra["diagnosis"]),
-        tuple(result.notes),
+        (*freedom_notes(result), *result.notes),
         badge=_error_over_noise(extra["after"]),
     )
 

@@ -20,7 +20,7 @@ from eoi_jax.models.equations.display import equation_text
 from eoi_jax.models.input_strength import InputStrength, strengths_of
 from eoi_jax.report.tables import columns, parameter_table, quantity, with_error
 from eoi_jax.simulation.validate import Validation
-from eoi_jax.uncertainty.uncertainty import uncertainty
+from eoi_jax.uncertainty.uncertainty import freedom_notes, uncertainty
 
 _FORCES = ("N", "N m", "Nm", "N·m")
 _DRIFT = " (over {} the free run drifts)"
@@ -37,6 +37,7 @@ def discovery_text(discovery: Discovery) -> str:
         equally supported alternatives, the equation, the next-best candidates, and notes.
     """
     sentence = answer(discovery)
+    notes = *freedom_notes(discovery.found), *discovery.notes, *discovery.engine.notes
     blocks = [
         sentence,
         "" if str(discovery.status) in sentence else str(discovery.status),
@@ -50,7 +51,7 @@ def discovery_text(discovery: Discovery) -> str:
         *_equations(discovery),
         candidate_table(discovery),
         _findings(discovery),
-        "\n".join(f"- {note}" for note in (*discovery.notes, *discovery.engine.notes)),
+        "\n".join(f"- {note}" for note in notes),
     ]
     return "\n\n".join(block for block in blocks if block)
 

@@ -11,6 +11,7 @@ from eoi_jax.data.record import Record
 from eoi_jax.discovery.diagnosis import Diagnosis
 from eoi_jax.discovery.result import Discovery
 from eoi_jax.estimation.identify import Identification
+from eoi_jax.estimation.online import OnlineEstimator
 from eoi_jax.estimation.parameter_history import ParameterHistory
 from eoi_jax.models.plant import Plant
 from eoi_jax.models.stored_classes import stored_form
@@ -23,6 +24,7 @@ from eoi_jax.report.discovery_figures import discovery_figure
 from eoi_jax.report.estimate_figures import profile_figure, refinement_figure, uncertainty_figure
 from eoi_jax.report.figures import identification_figure, record_figure, validation_figure
 from eoi_jax.report.inspection import inspection_figure, inspection_text
+from eoi_jax.report.online import online_text
 from eoi_jax.report.parameter_history import history_figure, history_text
 from eoi_jax.report.plant import plant_text
 from eoi_jax.report.record import record_text
@@ -44,6 +46,7 @@ TABLES: dict[type, Callable] = {
     Inspection: inspection_text,
     Identification: identification_text,
     ParameterHistory: history_text,
+    OnlineEstimator: online_text,
     Validation: validation_text,
     Diagnosis: diagnosis.diagnosis_text,
     Refinement: refinement_table,

@@ -12,7 +12,7 @@ from eoi_jax.models.plant import Plant
 from eoi_jax.refinement.result import Refinement
 from eoi_jax.simulation.validate import Validation
 from eoi_jax.uncertainty.profile_likelihood import Profile
-from eoi_jax.uncertainty.uncertainty import Uncertainty, uncertainty
+from eoi_jax.uncertainty.uncertainty import Uncertainty, freedom_notes, uncertainty
 
 
 def identification_text(result: Identification) -> str:
@@ -29,8 +29,8 @@ def identification_text(result: Identification) -> str:
         parameter_table(result),
         index_table(result),
         health_table(result),
-        f"observer  {_gains(result.observer)}\nlow-pass  {_gains(result.lowpass)}",
-        "\n".join(f"- {line}" for line in (*result.reasons, *result.notes, *result.engine.notes)),
+        f"observer  {gains_text(result.observer)}\nlow-pass  {gains_text(result.lowpass)}",
+        "\n".join(f"- {line}" for line in _remarks(result, *result.reasons)),
     ]
     return "\n\n".join(block for block in blocks if block)
 
@@ -215,12 +215,12 @@ def health_table(result: Identification) -> str:
     return columns(rows, "<>>")
 
 
-def _gains(module: Any) -> str:
+def gains_text(module: Any) -> str:
     """An observer or a filter as its name and gains: ``SecondOrder(c1 17.5, c2 57.2, …)``."""
     gains = []
     for name, value in vars(module).items():
         if isinstance(value, tuple) and value and not np.isscalar(value[0]):
-            gains += [_gains(part) for part in value]
+            gains += [gains_text(part) for part in value]
         elif isinstance(value, str):
             gains.append(value)
         else:
@@ -333,7 +333,11 @@ def refinement_table(result: Refinement) -> str:
         result.plant.outputs, result.before, result.rmse, strict=True
     ):
         lines.append(f"  {name}: {initial_rmse:.5g} → {rmse:.5g} {units.get(name, '')}".rstrip())
-    return "\n".join([*lines, *(f"- {note}" for note in (*result.notes, *result.engine.notes))])
+    return "\n".join([*lines, *(f"- {note}" for note in _remarks(result))])
+
+
+def _remarks(result: Identification | Refinement, *reasons: str) -> tuple[str, ...]:
+    return *reasons, *freedom_notes(result), *result.notes, *result.engine.notes
 
 
 def validation_text(result: Validation) -> str:

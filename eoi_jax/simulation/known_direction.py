@@ -120,7 +120,8 @@ def turn(
     """
     ny = previous.shape[0]
     directions = u[-ny - 1 : -1]
-    at_rest = State(with_velocity(x.y, jnp.zeros(ny), plant.degrees), x.z)
+    velocity = jnp.where(previous == directions, velocity_of(x.y, plant.degrees), 0.0)
+    at_rest = State(with_velocity(x.y, velocity, plant.degrees), x.z)
     old, new = (
         plant.derivative(t, at_rest, u.at[-ny - 1 : -1].set(direction), theta)
         for direction in (previous, directions)

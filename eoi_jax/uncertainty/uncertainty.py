@@ -220,6 +220,33 @@ def student(level: float, freedom: Float[np.ndarray, " np"]) -> Float[np.ndarray
     return np.where(np.isinf(freedom), ndtri(upper), stdtrit(freedom, upper))
 
 
+def freedom_notes(estimate: Identification | Refinement) -> tuple[str, ...]:
+    """A sentence where standard errors have so few degrees of freedom that ±2 of them mislead.
+
+    Args:
+        estimate: with an answer or without.
+    """
+    if estimate.degrees_of_freedom is None:
+        return ()
+    freedom = np.asarray(estimate.degrees_of_freedom)
+    errors = np.asarray(list(estimate.standard_errors.values()))
+    few = (freedom < FEW) & np.isfinite(errors) & (errors > 0)
+    if not np.any(few):
+        return ()
+    names = [name for name, is_few in zip(estimate.standard_errors, few, strict=True) if is_few]
+    ends = [np.min(freedom[few]), np.max(freedom[few])]
+    numbers = list(dict.fromkeys(f"{end:.2g}" for end in ends))
+    reach = list(dict.fromkeys(f"{size:.2g}" for size in student(0.95, np.asarray(ends))[::-1]))
+    return (_FEW.format(listed(names), " to ".join(numbers), " to ".join(reach)),)
+
+
+FEW = 5.0  # degrees of freedom, at which a 95 % interval reaches 2.6 standard errors in place of 2
+_FEW = (
+    "the ± of {} rests on {} degrees of freedom: the 95 % interval reaches {} times as far to each "
+    "side (`uncertainty`), as the residual is hardly faster than the record is long"
+)
+
+
 # -- what cannot be told apart ----------------------------------------------------------------
 
 _BOUND = "{} ended on its bound, {:g}: it has no error, and those of the others hold beside it"

@@ -506,6 +506,20 @@ def test_smoothing_leaves_the_plant_between_input_and_output_unchanged():
     assert error < 1e-4
 
 
+def test_inputs_that_are_not_smoothed_stay_as_they_are_with_their_hold():
+    u = np.sign(np.c_[np.sin(TIME), np.cos(TIME)])
+    record = Record(TIME, u, np.sin(TIME), input_names=["valve", "fan"], hold="zero")
+    smooth, whole = record.smooth(20.0, ["fan"]), record.smooth(20.0)
+    assert smooth.holds == ("zero", "smooth")
+    np.testing.assert_array_equal(smooth.inputs[:, 0], u[:, 0])
+    np.testing.assert_array_equal(smooth.inputs[:, 1], whole.inputs[:, 1])
+    np.testing.assert_array_equal(smooth.outputs, whole.outputs)
+    assert smooth.notes[-1].startswith("Outputs, fan smoothed by the same zero-phase low-pass")
+    assert record.smooth(20.0, []).notes[-1].startswith("Outputs smoothed")
+    with pytest.raises(ValueError, match="`inputs` must be one of valve, fan"):
+        record.smooth(20.0, ["pump"])
+
+
 def test_smoothing_does_not_mix_segments():
     y = np.where(TIME < 2, 0.0, 1.0)
     y[200] = np.nan

@@ -21,6 +21,7 @@ from eoi_jax.estimation.defaults import (
     short_record_notes,
     too_short,
 )
+from eoi_jax.estimation.lowpass import LowPass
 from eoi_jax.estimation.observers import FirstOrder, HighOrder, PerOutput, SecondOrder
 from eoi_jax.models.library import Plant, level_tank, mass_spring_damper
 
@@ -320,6 +321,26 @@ def test_what_has_no_velocity_needs_no_smoothing():
     record = Record(time, np.cos(3.0 * time), y)
     assert default_smoothing(PLANT, [record], 10.0)[0] is not False
     assert default_smoothing(level_tank(), [record], 10.0) == (False, [])
+
+
+def test_an_input_that_enters_squared_is_not_smoothed_before():
+    """The square of a smoothed input is less than the smoothed square."""
+
+    def lifted(t, x, u, p):
+        return p.k * u[0] ** 2 + p.b * u[1] - p.d * x.y[1] - p.s * x.y[0]
+
+    values = {"k": 20.0, "b": 3.0, "d": 0.5, "s": 4.0}
+    plant = eoi.Plant(lifted, values, 2, inputs=("throttle", "flap"))
+    time = grid(2000, 0.01)
+    u = np.stack([eoi.excitation.random_steps(time, 0.3, 0.9, 0.2, seed=i) for i in (0, 1)], axis=1)
+    record = eoi.simulate(plant, time, u, hold="zero")
+    start = plant.with_parameters({"k": 18.0, "b": 2.0})
+    found = eoi.identify(start, record, lowpass=LowPass(5.0, 3), smoothing=25.0, instruments=False)
+    np.testing.assert_allclose(list(found.parameters.values()), list(values.values()), rtol=3e-4)
+    noise = 1e-3 * np.random.default_rng(0).standard_normal(record.outputs.shape)
+    noisy = record.with_outputs(record.outputs + noise, "noisy")
+    reasons = default_smoothing(plant, [noisy], 4.0)[1]
+    assert "but for those in which the model is not affine (throttle), zero phase" in reasons[0]
 
 
 @pytest.mark.parametrize("period", [0.01, 3600.0])

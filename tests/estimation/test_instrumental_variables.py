@@ -14,7 +14,7 @@ from eoi_jax.estimation.identify import identify
 from eoi_jax.estimation.instrument_kernel import Simulated, run_pairs, sum_over_runs
 from eoi_jax.estimation.instrumental_variables import noise_in_residual
 from eoi_jax.estimation.lowpass import LowPass
-from eoi_jax.estimation.observers import SecondOrder
+from eoi_jax.estimation.observers import FirstOrder, SecondOrder
 from eoi_jax.estimation.preparation import prepare_records, prepare_steps, step_inputs
 from eoi_jax.estimation.regression.instrumental import instrumental_variables, within_bounds
 from eoi_jax.models.library import Plant, mass_spring_damper, pendulum
@@ -289,6 +289,40 @@ def braked(t, x, u, p):
     return p.gain * u - p.loss * x.y[0] - p.dry * jnp.sign(x.y[0])
 
 
+def test_instruments_of_a_speed_are_its_sensitivities_across_reversals():
+    """In whatever row the speed stands: here that of the velocities holds an internal state."""
+
+    def geared(t, x, u, p):
+        return p.gain * x.z[0] - p.loss * x.y[0] - p.dry * jnp.sign(x.y[0])
+
+    def charged(t, x, u, p):
+        return (u[:1] - x.z) / p.tau
+
+    values = {"gain": 40.0, "loss": 0.2, "dry": 8.0, "tau": 0.05}
+    plant = Plant(geared, values, 1, internal=charged, internal_initial=[0.0])
+    t = grid(1001, 4e-3)
+    u = 0.4 * np.sin(2.0 * np.pi * t / 1.6) + 0.2 * np.sin(2.0 * np.pi * t / 0.37)
+
+    def speeds(theta):
+        return simulate(plant.with_parameters(theta), t, u, hold="zero", substeps=4).outputs
+
+    theta, speed = np.asarray(plant.theta), speeds(plant.theta)
+    steps = 1e-5 * np.diag(theta)
+    slopes = np.concatenate([speeds(theta + step) - speeds(theta - step) for step in steps], axis=1)
+    slopes = slopes[1:] / (2.0 * np.diagonal(steps))
+    ways = np.sign(np.append(speed[1:] + speed[:-1], speed[-1:], axis=0))
+    inputs = np.concatenate([u[:, None], ways, np.full_like(ways, 5.0)], axis=1)
+    record = Record(t, inputs, speed, hold="zero")
+    ways = np.repeat(ways[:-1], 4, axis=0)[None]
+    before = np.concatenate([ways[:, :1], ways[:, :-1]], axis=1)
+    observer = FirstOrder(delta=1e6, leak=1.0)
+    model = directed(plant, (1,))
+    got = paired(model, record, record, observer, previous_direction=before)
+    want = 4 * slopes.T @ slopes  # four sub-steps a sample
+    sizes = np.sqrt(np.outer(np.diagonal(want), np.diagonal(want)))
+    np.testing.assert_allclose(got.information[0] / sizes, want / sizes, rtol=0.0, atol=0.06)
+
+
 @pytest.mark.slow
 def test_a_speed_with_dry_friction_reaches_the_bound_though_it_stands_still():
     truth = Plant(braked, {"gain": 40.0, "loss": 2.0, "dry": 8.0}, 1)
@@ -342,12 +376,21 @@ def mixed(t, x, u, p):
     return jnp.stack([first, p.k * x.y[0, 0] - p.a * x.y[1, 1] - 30.0 * x.y[0, 1] + p.b * u[1]])
 
 
+def turning(t, x, u, p):
+    """An angle and its speed, both measured, with dry friction."""
+    del t
+    angle, speed = x.y[0]
+    return jnp.stack([speed, p.b * u[0] - p.a * angle - p.c * jnp.sign(speed)])
+
+
 PLANTS = {
     "internal state": Plant(lagging, {"a": 40.0, "b": 20.0, "tau": 0.1}, 2, internal=lag,
                             internal_initial=[0.0]),
     "actuator": Plant(sprung, {"a": 40.0, "b": 20.0, "tau": 0.05}, 2, actuator=slow),
     "mixed degrees": Plant(mixed, {"a": 5.0, "k": 40.0, "b": 20.0}, (1, 2), ("u1", "u2"),
                            ("y1", "y2")),
+    "measured speed": Plant(turning, {"a": 40.0, "b": 20.0, "c": 3.0}, (1, 1), ("u",),
+                            ("angle", "speed")),
 }  # fmt: skip
 
 

@@ -501,7 +501,7 @@ def test_gaps_set_no_alarm_off(identified):
 @pytest.mark.parametrize("rate", [1.0 / 36.0, 1.0 / 3.6])
 def test_the_rate_of_false_alarms_is_what_was_asked_for(rate):
     """On noise of the correlation that the filter gives it, many hours at once."""
-    from eoi_jax.estimation.online import _correlation, _threshold
+    from eoi_jax.estimation.online import _correlation, _independent, _threshold
 
     draw, pole, memory, count = np.random.default_rng(1), 0.9, 0.5, 400_000
     noise = np.zeros(count)
@@ -514,7 +514,8 @@ def test_the_rate_of_false_alarms_is_what_was_asked_for(rate):
         power[k] = power[k - 1] + H / memory * (noise[k] ** 2 - power[k - 1])
     signals = noise[:, None]
     correlation = _correlation([signals], 200) / count
-    threshold = _threshold(correlation, np.array([float(count)]), H, memory, rate)
+    independent = _independent(correlation, np.array([float(count)]))
+    threshold = _threshold(correlation, independent, H, memory, rate)
     above = power > threshold
     starts = np.flatnonzero(above[1:] & ~above[:-1])
     alarms = np.sum(np.diff(starts, prepend=-1000) > memory / H)  # one for each excursion
@@ -558,6 +559,54 @@ def test_what_begins_in_the_middle_of_a_run_sets_it_off(identified, kind):
     alarm = ours(eoi.online_estimator(result, record), run).alarm
     first = time[np.flatnonzero(alarm)[0]]
     assert begin < first < begin + 2.0
+
+
+@pytest.fixture(scope="module")
+def rubbing():
+    """A result, and of a noise its record: a velocity of one step has 140 times as much of it."""
+    plant, _ = make("friction")
+
+    def made(noise):
+        return recorded(plant, noise=noise)
+
+    return eoi.identify(plant, made(1e-4), instruments=False), made
+
+
+def test_few_samples_beside_dry_friction_make_no_alarm(rubbing):
+    """A threshold of 1e300 would never be reached, and nobody would know."""
+    result, made = rubbing
+    usual = eoi.online_estimator(result, made(1e-4)).alarm
+    assert usual is not None
+    assert usual.threshold < 20.0
+    few = made(1e-3)
+    message = (
+        "`records` must hold at least 10 independent samples of the injection for an alarm, got .*"
+        "of the steps of y count, those away from velocities below .* of y, 4 standard deviations "
+        "of their noise.*Give longer records.*`false_alarms=None`"
+    )
+    with pytest.raises(ValueError, match=message):
+        eoi.online_estimator(result, few)
+    without = eoi.online_estimator(result, few, false_alarms=None)
+    assert without.alarm is None
+    with pytest.raises(ValueError, match="`records` must have steps that count, got 0 of the st"):
+        eoi.online_estimator(result, made(1e-2), false_alarms=None)
+
+
+def test_records_that_are_too_short_make_no_alarm(identified):
+    result, record = identified
+    with pytest.raises(ValueError, match=r"independent samples .* behind the transient and gaps"):
+        eoi.online_estimator(result, record[: SAMPLES // 8])
+
+
+def test_an_estimator_prints_what_it_does(identified):
+    result, record = identified
+    text = str(eoi.online_estimator(result, record, forgetting=0.999))
+    assert "oscillator: estimator in real time, a step each 0.01 s, inputs held" in text
+    assert "memory of the parameters  about 10 s, forgetting 0.999" in text
+    assert re.search(r"alarm  where the power of the injection over .* s is above .* times", text)
+    text = str(eoi.online_estimator(result, record, false_alarms=None))
+    assert text.endswith("alarm  none")
+    assert "memory of the parameters  all samples" in text
 
 
 # -- what is refused ----------------------------------------------------------------------------

@@ -161,6 +161,7 @@ def test_noise_free_runs_give_the_truth():
     start = OSCILLATOR.with_parameters(0.7 * np.asarray(OSCILLATOR.theta))
     result = refine(start, run(OSCILLATOR, [0.02, -0.1]))
     assert result.status.code == "converged"
+    assert str(result.status).endswith(f"any further, after {result.steps} steps in all")
     np.testing.assert_allclose(result.plant.theta, OSCILLATOR.theta, rtol=1e-7)
     assert result.rmse[0] < 1e-9 < result.before[0]
     assert result.cost < result.cost_before

@@ -130,7 +130,8 @@ def test_an_inspection_and_a_score_test_have_a_row_for_each_entry(fit, tmp_path)
 
 
 def test_every_result_that_prints_itself_is_a_table_too():
-    kinds = set(TABLES) - {eoi.Plant}  # a model prints itself, but is no result
+    # A model and an estimator print themselves, but are no results.
+    kinds = set(TABLES) - {eoi.Plant, eoi.OnlineEstimator}
     assert all(hasattr(kind, "to_pandas") for kind in kinds)
     for kind in kinds:
         assert data_frame._implementations.dispatch(kind) is not (

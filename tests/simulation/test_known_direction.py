@@ -64,3 +64,18 @@ def test_friction_acts_in_the_direction_that_it_is_told(rate, way, expected):
 def test_a_moment_of_rest_changes_sensitivities_of_the_velocity(c, before, way, expected):
     found = float(turned(*map(np.asarray, (c, -1.0, before, way))))
     assert found == pytest.approx(expected, rel=1e-12)
+
+
+def test_outputs_that_go_on_keep_their_velocity_while_another_one_rests():
+    """An angle beside its speed, both of relative degree one: the angle acts on the speed."""
+
+    def both(t, x, u, p):
+        angle, speed = x.y[0]
+        return jnp.stack([speed, p.b * u[0] - p.q * angle - p.c * jnp.sign(speed)])
+
+    plant = directed(eoi.Plant(both, VALUES, (1, 1), ("u",), ("angle", "speed")), (0, 1))
+    x = eoi.State(jnp.asarray([[-2.0, 0.0]]), jnp.zeros(0))
+    u = jnp.asarray([-1.0, 1.0, -1.0, GRIP])
+    theta, previous = jnp.asarray(plant.theta), jnp.asarray([1.0, 1.0])
+    factors = turn(plant, theta, jnp.asarray(0.0), x, u, previous)
+    np.testing.assert_allclose(factors, [1.0, (-2.0 + 1.4 + 0.5) / (-2.0 + 1.4 - 0.5)], rtol=1e-9)

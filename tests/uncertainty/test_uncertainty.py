@@ -15,6 +15,7 @@ from eoi_jax.uncertainty.uncertainty import (
     Uncertainty,
     _on_bounds,
     _precision,
+    freedom_notes,
     student,
     uncertainty,
 )
@@ -198,6 +199,23 @@ def refined(**changes) -> Refinement:
         residual_before=(2 * noise[1],), records=(record,),
     )  # fmt: skip
     return replace(result, **changes)
+
+
+def test_errors_of_few_degrees_of_freedom_say_how_far_their_intervals_reach():
+    """12.7 of t with one degree of freedom, 4.3 with two: any textbook."""
+    errors = dict.fromkeys(PLANT.names, 0.1)
+    few = refined(degrees_of_freedom=np.asarray([1.0, 19.0, 2.0]), standard_errors=errors)
+    (note,) = freedom_notes(few)
+    first, _, last = PLANT.names
+    assert note.startswith(
+        f"the ± of {first} and {last} rests on 1 to 2 degrees of freedom: the 95"
+    )
+    assert "reaches 4.3 to 13 times as far to each side" in note
+    assert f"- {note}" in str(few)
+    assert freedom_notes(refined()) == ()
+    open_ones = {**errors, first: np.inf, last: 0.0}
+    assert freedom_notes(replace(few, standard_errors=open_ones)) == ()
+    assert freedom_notes(replace(few, degrees_of_freedom=None)) == ()
 
 
 def test_ratios_that_can_be_told_are_named_and_the_rest_is_open():

@@ -1,0 +1,36 @@
+"""How inputs enter the equations of a plant."""
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import eoi_jax as eoi
+from eoi_jax.models.used_inputs import affine_inputs, used_inputs
+
+
+@pytest.mark.parametrize(
+    ("term", "affine"),
+    [
+        (lambda x, u: 2.0 * u[0] - u[1] + x.y[1], (True, True)),
+        (lambda x, u: u[0] ** 2 + 3.0 * u[1], (False, True)),
+        (lambda x, u: u[0] * u[1], (False, False)),
+        (lambda x, u: jnp.maximum(u[0], 0.0) + u[1], (False, True)),
+        (lambda x, u: jnp.sqrt(u[0]) + u[1], (False, True)),
+        (lambda x, u: u[0] * x.y[0] + u[1] * jnp.sign(x.y[1]), (True, True)),
+        (lambda x, u: u[0], (True, True)),
+    ],
+)
+def test_inputs_are_affine_where_no_slope_depends_on_an_input(term, affine):
+    plant = eoi.Plant(lambda t, x, u, p: p.a * term(x, u), {"a": 1.5}, 2, inputs=("u", "w"))
+    assert tuple(affine_inputs(plant)) == affine
+
+
+def test_an_input_that_drives_an_internal_state_squared_is_not_affine():
+    def rate(t, x, u, p):
+        return u**2 - x.z
+
+    options = {"internal": rate, "internal_initial": [0.0]}
+    plant = eoi.Plant(lambda t, x, u, p: p.a * x.z[0], {"a": 1.0}, **options)
+    np.testing.assert_array_equal(affine_inputs(plant), [False])
+    np.testing.assert_array_equal(used_inputs(plant), [[True]])
+    assert affine_inputs(eoi.Plant(lambda t, x, u, p: p.a, {"a": 1.0}, inputs=())).size == 0
