@@ -33,22 +33,22 @@ def standstill_notes(name: str, values: Float[np.ndarray, " samples"]) -> list[s
         values: NaN where a cell is empty.
     """
     rows = np.flatnonzero(np.isfinite(values))
-    known = values[rows]
-    equal = sorted(runs(np.diff(known) == 0), key=lambda run: run[0] - run[1])
+    finite = values[rows]
+    equal = sorted(runs(np.diff(finite) == 0), key=lambda run: run[0] - run[1])
     if not equal:
         return []
     start, stop = equal[0][0], equal[0][1] + 1  # the samples of the longest run
     second = equal[1][1] - equal[1][0] + 1 if equal[1:] else 1
     if stop - start < max(_SETTINGS.shortest, _SETTINGS.contrast * second):
         return []
-    sides = (known[max(start - _SETTINGS.around, 0) : start], known[stop:][: _SETTINGS.around])
+    sides = (finite[max(start - _SETTINGS.around, 0) : start], finite[stop:][: _SETTINGS.around])
     if min(map(len, sides)) < _SETTINGS.around:
         return []
     is_moving = all(np.mean(np.diff(side) != 0) >= _SETTINGS.moving for side in sides)
-    at_rest = known[start] in (0.0, known.min(), known.max())  # or at a limit
+    at_rest = finite[start] in (0.0, finite.min(), finite.max())  # or at a limit
     if at_rest or not is_moving:
         return []
     first, last = rows[start], rows[stop - 1]
-    sentence = f"`{name}` is {known[start]:.6g} from row {first} to {last}, counted from 0, and "
+    sentence = f"`{name}` is {finite[start]:.6g} from row {first} to {last}, counted from 0, and "
     sentence += "moves before and behind: if its sensor was frozen, empty these cells to mask them."
     return [sentence]

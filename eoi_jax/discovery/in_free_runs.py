@@ -381,8 +381,8 @@ def answered(
     imitates = without_product and _imitates(discovery, best)
     if best.placed and confirms and not lost and not imitates:
         names = labels_of(best.placed)
-        left = beyond_noise(best.runs[1], answer.judging)
-        code, text = ("partial", _PARTIAL) if left else ("complete", _COMPLETE)
+        excess = beyond_noise(best.runs[1], answer.judging)
+        code, text = ("partial", _PARTIAL) if excess else ("complete", _COMPLETE)
         outcome = replace(discovery, status=Status(code, text.format(names, ratio)), lead=None)
         outcome = _with_model(outcome, answer, best, lowpass)
         return replace(outcome, notes=(*outcome.notes, *notes))
@@ -393,14 +393,16 @@ def answered(
         fit = _fit_of(discovery, answer, best, lowpass)
         added = _added(discovery, answer, fit, best)
         lead = PartialExplanation(added, 1.0 - ratio**2, fit, *best.runs)
-    left = bool(beyond_noise(base.runs[1], answer.judging)) or _tells_of_motion(lead, base)
-    if answer.better_base or (lead is None and not left and _is_noise(answer)):
+    excess = bool(beyond_noise(base.runs[1], answer.judging)) or _tells_of_motion(lead, base)
+    if answer.better_base or (lead is None and not excess and _is_noise(answer)):
         # What the injection said of the model as it was is said of no other one; where samples are
         # far apart it is an error of what lies between them.
-        verdict = ("unexplained", _NOT_EXPLAINED) if left else ("nothing_missing", _NOTHING_MISSING)
+        verdict = (
+            ("unexplained", _NOT_EXPLAINED) if excess else ("nothing_missing", _NOTHING_MISSING)
+        )
         outcome = replace(discovery, status=Status(*verdict), lead=lead)
         discovery = _with_model(outcome, answer, base, lowpass)
-        if lead is not None and not left:
+        if lead is not None and not excess:
             # Of what is within the noise a part that confirms nothing shows nothing to be missing.
             lead, hint = None, FitNote(_WITHIN_NOISE.format(labels_of(best.placed), ratio))
             lost = [*lost, hint]

@@ -311,10 +311,10 @@ def _answered(
     if not result.status.ok or not held_out:
         return result
     held_out = made_alike(held_out, records, result.records)
-    before, after = validated_alike((nominal, result.plant), held_out)
-    if not worse(before, after):
+    initial, refined = validated_alike((nominal, result.plant), held_out)
+    if not worse(initial, refined):
         return result
-    return _start_kept(nominal, replace(result, notes=shared), question, before, after)
+    return _start_kept(nominal, replace(result, notes=shared), question, initial, refined)
 
 
 def _with_best_hold(
@@ -401,8 +401,8 @@ def _start_kept(
     nominal: Plant,
     result: Refinement,
     question: _Question,
-    before: Validation,
-    after: Validation,
+    initial: Validation,
+    fitted_runs: Validation,
 ) -> Refinement:
     """The start as the answer, with the certainty that the runs of a fit give it.
 
@@ -410,8 +410,8 @@ def _start_kept(
         nominal: the start.
         result: of the fit, with the notes that hold for the start as well.
         question: asked of `refine`.
-        before: free runs of the start on held-out records.
-        after: those of the fit.
+        initial: free runs of the start on held-out records.
+        fitted_runs: those of the fit.
     """
     spans = spans_of(result.records, result.window)
     problem, unknowns, sensitivities = first_runs(nominal, result.records, spans, question.substeps)
@@ -423,8 +423,12 @@ def _start_kept(
     fit = Fit(weights, sensitivities, error, outcome, result.steps, 1)
     start = refinement_of(fit, result.records, spans, result.window)
     changes = [f"{name} {old:.3g} → {new:.3g}" for name, old, new in
-               zip(nominal.outputs, before.rmse, after.rmse, strict=True)]  # fmt: skip
-    runs = "free runs" if after.window is None else f"free runs in windows of {after.window:.3g} s"
+               zip(nominal.outputs, initial.rmse, fitted_runs.rmse, strict=True)]  # fmt: skip
+    runs = (
+        "free runs"
+        if fitted_runs.window is None
+        else f"free runs in windows of {fitted_runs.window:.3g} s"
+    )
     status = Status("start_kept", _WORSE.format(runs, ", ".join(changes)))
     return replace(start, status=status, notes=(*dict.fromkeys((*start.notes, *result.notes)),))
 

@@ -303,10 +303,10 @@ def _staircase(xp: Any, mean: Float[Any, "steps nu"]) -> Float[Any, "steps 3 nu"
         xp: NumPy or JAX's.
         mean: of the staircase over each step.
     """
-    before = xp.concatenate([mean[:1], mean[:-1]])
-    after = xp.concatenate([mean[1:], mean[-1:]])
-    change = after - before
-    share = (after - mean) / xp.where(change == 0.0, 1.0, change)
+    former = xp.concatenate([mean[:1], mean[:-1]])
+    latter = xp.concatenate([mean[1:], mean[-1:]])
+    change = latter - former
+    share = (latter - mean) / xp.where(change == 0.0, 1.0, change)
     weighted = xp.maximum(share * (1.0 - share), 0.0) * change
     bend = 4.0 * (share - 0.5) * weighted
     return xp.stack(

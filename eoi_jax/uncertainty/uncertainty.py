@@ -230,11 +230,13 @@ def freedom_notes(estimate: Identification | Refinement) -> tuple[str, ...]:
         return ()
     freedom = np.asarray(estimate.degrees_of_freedom)
     errors = np.asarray(list(estimate.standard_errors.values()))
-    few = (freedom < FEW) & np.isfinite(errors) & (errors > 0)
-    if not np.any(few):
+    scarce = (freedom < FEW) & np.isfinite(errors) & (errors > 0)
+    if not np.any(scarce):
         return ()
-    names = [name for name, is_few in zip(estimate.standard_errors, few, strict=True) if is_few]
-    ends = [np.min(freedom[few]), np.max(freedom[few])]
+    names = [
+        name for name, is_scarce in zip(estimate.standard_errors, scarce, strict=True) if is_scarce
+    ]
+    ends = [np.min(freedom[scarce]), np.max(freedom[scarce])]
     numbers = list(dict.fromkeys(f"{end:.2g}" for end in ends))
     reach = list(dict.fromkeys(f"{size:.2g}" for size in student(0.95, np.asarray(ends))[::-1]))
     return (_FEW.format(listed(names), " to ".join(numbers), " to ".join(reach)),)

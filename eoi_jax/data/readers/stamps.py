@@ -100,8 +100,8 @@ def are_days(stamps: np.ndarray) -> bool:
 
 def _fit(days: np.ndarray, clock: np.ndarray) -> bool:
     """Whether a column of dates has those of times of day: one for each, another after midnight."""
-    known = ~np.isnat(clock)
-    days, clock = days[known], clock[known]
+    stamped = ~np.isnat(clock)
+    days, clock = days[stamped], clock[stamped]
     if np.any(np.isnat(days)) or np.any(clock > _DAY):
         return False
     return not np.any((np.diff(clock) < -_HALF_DAY) & (np.diff(days) == np.timedelta64(0)))
@@ -110,9 +110,9 @@ def _fit(days: np.ndarray, clock: np.ndarray) -> bool:
 def _over_midnights(clock: np.ndarray) -> tuple[np.ndarray, int]:
     """Times of day that go on over midnight, and how often they pass it."""
     elapsed = clock.copy()
-    (known,) = np.nonzero(~np.isnat(clock))
-    nights = np.cumsum(np.diff(clock[known], prepend=clock[known[:1]]) < -_HALF_DAY)
-    elapsed[known] += nights * _DAY
+    (stamped,) = np.nonzero(~np.isnat(clock))
+    nights = np.cumsum(np.diff(clock[stamped], prepend=clock[stamped[:1]]) < -_HALF_DAY)
+    elapsed[stamped] += nights * _DAY
     return elapsed, int(nights[-1])
 
 
@@ -167,9 +167,9 @@ def zone_problem(key: str, values: Any) -> str:
     words, everywhere = _zones(texts.astype("string").str.strip())
     if everywhere and (len(words) < 2 or set(words) <= _ZONES.keys()):
         return ""
-    what = ", ".join(f"`{word}`" for word in words[:5])
-    what = f"the time zones {what}" if everywhere else f"a time zone in some rows only ({what})"
-    return f"`{key}` has {what}: give each time its offset, such as +01:00, or give all in UTC."
+    zones = ", ".join(f"`{word}`" for word in words[:5])
+    zones = f"the time zones {zones}" if everywhere else f"a time zone in some rows only ({zones})"
+    return f"`{key}` has {zones}: give each time its offset, such as +01:00, or give all in UTC."
 
 
 def _with_offsets(key: str, texts: Any, notes: list[str]) -> Any:
@@ -215,9 +215,9 @@ def _without_words(key: str, texts: Any, form: re.Pattern[str], notes: list[str]
     rows = np.flatnonzero(odd)
     if not 0 < 2 * len(rows) < len(texts):
         return texts
-    what = f"{texts.iloc[rows[0]]!r} in row {rows[0]}, counted from 0"
+    place = f"{texts.iloc[rows[0]]!r} in row {rows[0]}, counted from 0"
     more = f", and {len(rows) - 1} more such" if len(rows) > 1 else ""
-    notes.append(f"`{key}` has no stamp where it holds {what}{more}.")
+    notes.append(f"`{key}` has no stamp where it holds {place}{more}.")
     return texts.mask(odd)
 
 
