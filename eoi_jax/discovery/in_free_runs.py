@@ -87,7 +87,7 @@ def leaves_open(discovery: Discovery) -> bool:
         lost = bool(np.any(runs.nrmse > _RULES.useless))
         return lost or bool(beyond_noise(runs, discovery.held_out))
     # What holds over time alone tells no held-out record to its noise.
-    in_time = holds_over_time(discovery.added) and _misses_by_more_than_noise(discovery)
+    in_time = _in_time(discovery.added) and _misses_by_more_than_noise(discovery)
     doubted = in_time or _bends(discovery.added)
     doubted |= _may_be_store(discovery.added) and not is_small
     return code in ("unexplained", "no_data") or (code == "complete" and doubted)
@@ -98,10 +98,15 @@ def _stands_in(added: Sequence[Added]) -> bool:
 
     An overflow beside an offset or a leak is one, in place of a loss that bends.
     """
-    return holds_over_time(added) or _bends(added)
+    return _in_time(added) or _bends(added)
 
 
-def holds_over_time(added: Sequence[Added]) -> bool:
+def is_doubtful(added: Sequence[Added]) -> bool:
+    """Whether effects that explain the injection may stand in for others."""
+    return _stands_in(added) or _may_be_store(added)
+
+
+def _in_time(added: Sequence[Added]) -> bool:
     """Whether one of some effects is a disturbance in time."""
     return any(isinstance(item.effect, Drift | SinusoidalDisturbance) for item in added)
 

@@ -11,14 +11,14 @@ import numpy as np
 
 from eoi_jax.data.holds import with_hold
 from eoi_jax.data.record import Record
-from eoi_jax.discovery.confirm import beyond_noise
 from eoi_jax.discovery.free_run_trials import refined
-from eoi_jax.discovery.in_free_runs import holds_over_time
+from eoi_jax.discovery.in_free_runs import is_doubtful
 from eoi_jax.discovery.judge import Judge, mean_error
 from eoi_jax.discovery.result import Discovery
 from eoi_jax.discovery.rules import RULES
 from eoi_jax.estimation.holdout import resting_outputs
 from eoi_jax.models.plant import Plant
+from eoi_jax.simulation.sensor_noise import sensor_noise
 
 _RULES = RULES.questions
 
@@ -26,9 +26,9 @@ _RULES = RULES.questions
 def needs_judge(discovery: Discovery, records: Sequence[Record]) -> bool:
     """Whether records of the fit alone leave it open what is missing.
 
-    Without an answer, with effects that hold over time alone, with such as free runs do not
-    confirm, and with free runs that miss by more than noise. Those of outputs that are functions
-    of the states are not searched.
+    Without an answer, with effects that may stand in for others, with such as free runs do not
+    confirm, and with free runs that miss by more than noise, whole or in windows. Those of outputs
+    that are functions of the states are not searched.
 
     Args:
         discovery: the answer so far.
@@ -38,8 +38,9 @@ def needs_judge(discovery: Discovery, records: Sequence[Record]) -> bool:
         return False
     if discovery.status.code not in ("complete", "nothing_missing"):
         return discovery.status.code == "unexplained"
-    runs = discovery.windows_after or discovery.after
-    if holds_over_time(discovery.added) or beyond_noise(runs, records):
+    runs = [run for run in (discovery.after, discovery.windows_after) if run is not None]
+    misses = any(np.any(run.rmse > _RULES.silent * sensor_noise(run)) for run in runs)
+    if misses or is_doubtful(discovery.added):
         return True
     return bool(discovery.added) and not _is_confirmed(discovery, records)
 
