@@ -34,7 +34,12 @@ def between_entries(
         The inputs, and the time without a row that is usual for all of them [s], in which they
         follow their hold; 0 where one is logged throughout.
     """
-    slow = [j for j, column in enumerate(u.T) if is_slow(np.isfinite(column))]
+    has_value = np.isfinite(u)
+    slow = [
+        j
+        for j, entered in enumerate(has_value.T)
+        if is_slow(entered) and 2 * np.sum(entered) <= len(u)
+    ]
     if not slow:
         return u, 0.0
     words, filled = hold_of_each(read_hold(hold, names), len(names)), u.copy()

@@ -166,7 +166,7 @@ def discover(
     )  # fmt: skip
     discovery = search.discovered(fit_records, held_out)
     if needs_judge(discovery, fit_records) and (parts := with_share(plant, fit_records)):
-        discovery = with_own_judge(discovery, search.discovered(*parts))
+        discovery = with_own_judge(discovery, search.discovered(*parts), parts[0])
     unplaced_notes = (
         [] if effects is None else notes_without_place(tried_effects, fitting, discovery)
     )
@@ -266,8 +266,8 @@ class _Search:
         """
         if self.named or not (held_out and follows_time(discovery)):
             return None
-        own = discovery.held_out[0]
-        made = (with_hold(group, own.hold, own.skew) for group in (records, held_out))
+        settled = discovery.held_out[0]
+        made = (with_hold(group, settled.hold, settled.skew) for group in (records, held_out))
         laws = (law for law in parameter_dependences(self.plant, records) if not law.signals)
         search = replace(self, effects=tuple(laws), rare=(), named=True)
         answer = search.answered(*made)

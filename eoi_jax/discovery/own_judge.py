@@ -9,16 +9,20 @@ from dataclasses import replace
 
 import numpy as np
 
+from eoi_jax._status import Status
 from eoi_jax.data.holds import with_hold
 from eoi_jax.data.record import Record
+from eoi_jax.data.windows import window_length
+from eoi_jax.discovery.confirm import beyond_noise
 from eoi_jax.discovery.free_run_trials import refined
 from eoi_jax.discovery.in_free_runs import is_doubtful
 from eoi_jax.discovery.judge import Judge, mean_error
 from eoi_jax.discovery.result import Discovery
 from eoi_jax.discovery.rules import RULES
-from eoi_jax.estimation.holdout import resting_outputs
+from eoi_jax.estimation.holdout import longest_start, resting_outputs
 from eoi_jax.models.plant import Plant
 from eoi_jax.simulation.sensor_noise import sensor_noise
+from eoi_jax.simulation.validate import whole_and_windows
 
 _RULES = RULES.questions
 
@@ -50,8 +54,8 @@ def _is_confirmed(discovery: Discovery, records: Sequence[Record]) -> bool:
 
     Passes whose parameters are biased leave what an effect may make up for.
     """
-    declared, own = discovery.declared, discovery.held_out[0]
-    records = with_hold(tuple(records), own.hold, own.skew)
+    declared, settled = discovery.declared, discovery.held_out[0]
+    records = with_hold(tuple(records), settled.hold, settled.skew)
     judge = Judge.of(records, declared.plant)
     if judge is None:
         return True
@@ -91,20 +95,38 @@ def _share_in_motion(record: Record, places: int = 20) -> float:
     return 1.0
 
 
-def with_own_judge(discovery: Discovery, judged: Discovery) -> Discovery:
+def with_own_judge(
+    discovery: Discovery, judged: Discovery, fitted: tuple[Record, ...]
+) -> Discovery:
     """The answer of a search that held records out, where it came to one; else as it was.
+
+    An end in which nothing is seen does not show that nothing is missing: what dies away, as that
+    of a decay, is in the records of the fit alone.
 
     Args:
         discovery: the answer without held-out records.
         judged: that with them.
+        fitted: records that it was fitted to, as given.
     """
     if judged.status.code == "no_data":
         return discovery
     note = _NOTE.format(100.0 * _RULES.own_share)
-    return replace(judged, notes=(note, *judged.notes))
+    judged = replace(judged, notes=(note, *judged.notes))
+    if judged.status.code != "nothing_missing":
+        return judged
+    settled, plant = judged.held_out[0], judged.plant
+    fitted = with_hold(fitted, settled.hold, settled.skew)
+    window = window_length(fitted, 2 * longest_start(plant, fitted))
+    long_runs, short_runs = whole_and_windows(plant, fitted, window)
+    misses = beyond_noise(short_runs or long_runs, fitted, _IN_FIT)
+    return replace(judged, status=Status("unexplained", misses[0])) if misses else judged
 
 
 _NOTE = (
     "no `validation` was given, and the records alone leave open what is missing: of the motion in "
     "each the last {:.3g} % were held out, and judge. Give `validation` for others"
+)
+_IN_FIT = (
+    " on the records of the fit, though not on the end of their motion, which was held out: what "
+    "is missing dies away before. Hold out other records (`validation`)"
 )

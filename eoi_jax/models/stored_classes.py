@@ -28,7 +28,7 @@ CLASSES: Mapping[str, str] = {
     "Clock": "data.time_axis",
     "Saturation": "data.clipping",
     "Inspection": "data.inspection",
-    "Channel": "data.inspection",
+    "Channel": "data.channel",
     "Wrapping": "data.wrapping",
     "Plant": "models.plant",
     "SampledStates": "models.sampled_states",

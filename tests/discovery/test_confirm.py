@@ -72,7 +72,9 @@ def test_of_slow_samples_an_error_within_their_differences_is_more_than_noise(se
 def silenced(monkeypatch):
     """An injection that is silent, of parameters that stay where they are."""
     module = importlib.import_module("eoi_jax.discovery.discover")
-    monkeypatch.setattr(in_injection, "judged", lambda *_: Status("nothing_missing", "silence"))
+    monkeypatch.setattr(
+        in_injection, "judged", lambda *_, **__: Status("nothing_missing", "silence")
+    )
     monkeypatch.setattr(module, "estimate", _as_declared(module.estimate))
     monkeypatch.setattr(module, "refined_answer", lambda _, found, __: found)
     monkeypatch.setattr(module, "without_bias", lambda _, found: found)
