@@ -108,8 +108,8 @@ def quad_pitch(folder: Path) -> Rig:
         "0.10 s 0.94 and 0.61, with dry friction too 0.95 and 0.57, with a bent spring 0.76 and "
         "0.56, with squares of the commands in place of the lag 0.60 and 0.59 (where it was fitted "
         "2.17 for 1.38); an offset with a lag 5.37 and 3.42 here, worse than declared: the "
-        "untouched run rests at 18° where all of them say 23°, as the motors differ: gains of their "
-        "own 5.53 and 3.61, held out 2.93 and 1.54",
+        "untouched run rests at 18° where all of them say 23°, as the motors differ: gains of "
+        "their own 5.53 and 3.61, held out 2.93 and 1.54",
     )  # fmt: skip
 
 
