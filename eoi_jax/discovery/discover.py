@@ -165,7 +165,7 @@ def discover(
         effects is not None, progress,
     )  # fmt: skip
     discovery = search.discovered(fit_records, held_out)
-    if needs_judge(discovery, fit_records) and (parts := with_share(plant, fit_records)):
+    if needs_judge(discovery, fit_records) and (parts := with_share(plant, fit_records, window)):
         discovery = with_own_judge(discovery, search.discovered(*parts), parts[0])
     unplaced_notes = (
         [] if effects is None else notes_without_place(tried_effects, fitting, discovery)

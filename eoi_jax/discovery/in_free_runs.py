@@ -570,7 +570,7 @@ _ALL = (
 )
 _NOT_EXPLAINED = (
     "refined, the declared model misses the held-out records by more than noise or chance in free "
-    "runs, and none of the effects that were tried in them, which are no disturbances in time, "
+    "runs, and none of the tested effects, of which disturbances in time are not tried in these, "
     "lowers these errors by a third"
 )
 _WITHIN_NOISE = (

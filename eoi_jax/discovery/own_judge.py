@@ -19,7 +19,7 @@ from eoi_jax.discovery.in_free_runs import is_doubtful
 from eoi_jax.discovery.judge import Judge, mean_error
 from eoi_jax.discovery.result import Discovery
 from eoi_jax.discovery.rules import RULES
-from eoi_jax.estimation.holdout import longest_start, resting_outputs
+from eoi_jax.estimation.holdout import check_runs, longest_start, resting_outputs
 from eoi_jax.models.plant import Plant
 from eoi_jax.simulation.sensor_noise import sensor_noise
 from eoi_jax.simulation.validate import whole_and_windows
@@ -67,7 +67,7 @@ def _is_confirmed(discovery: Discovery, records: Sequence[Record]) -> bool:
 
 
 def with_share(
-    plant: Plant, records: Sequence[Record]
+    plant: Plant, records: Sequence[Record], window: float | None = None
 ) -> tuple[tuple[Record, ...], tuple[Record, ...]] | None:
     """Records without their ends, and these ends; None where they are too short to judge.
 
@@ -76,13 +76,15 @@ def with_share(
     Args:
         plant: the declared model.
         records: to divide, as given.
+        window: length of re-initialised free runs [s]; None: by default.
     """
     kept = 1.0 - _RULES.own_share
     try:
         parts = [record.split(kept * _share_in_motion(record)) for record in records]
+        fitted, judging = (tuple(group) for group in zip(*parts, strict=True))
+        check_runs(plant, fitted, judging, window)
     except ValueError:  # too few valid samples for two records
         return None
-    fitted, judging = (tuple(group) for group in zip(*parts, strict=True))
     return None if Judge.of(judging, plant) is None else (fitted, judging)
 
 
