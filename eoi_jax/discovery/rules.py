@@ -255,7 +255,7 @@ class RefinementRules:
     negligible: float = 0.01
     first_steps: int = 5
     hint: float = 1e-4
-    hint_samples: int = 5000
+    hint_samples: int = 2000
 
 
 @dataclass(frozen=True)
