@@ -14,6 +14,8 @@ r"""Find the effects that a model lacks from its residual, and add them.
    extended (`in_free_runs`), and curves are tried (`curves`).
 8. On request, refinement by output error, with effects that only the free runs show; without it
    where nothing is missing and the passes are biased (`refined`).
+9. Without held-out records an answer that is open is searched again, with the end of each record
+   held out (`own_judge`).
 """
 
 from collections.abc import Sequence
