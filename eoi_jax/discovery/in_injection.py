@@ -391,8 +391,8 @@ def _notes(task: Task) -> list[str]:
     if not task.held_out:
         notes.append(
             "no held-out record: errors are in-sample, and no effect was refused for being worse "
-            "on other data. Give `validation`: records, or a share of these such as 0.3; in a "
-            "config files, `[validation]`"
+            "on other data. Give `validation`: records, or a share of these such as 0.3 (in a "
+            "config a table `[validation]`)"
         )
     return notes
 
