@@ -13,3 +13,9 @@ def are_linear(actuator: Any, count: int) -> tuple[bool, ...]:
     """In which of `count` inputs an actuator is linear; one of the user's is taken to be."""
     query = getattr(actuator, "are_linear", None)
     return (True,) * count if query is None else query(count)
+
+
+def have_past(actuator: Any, count: int) -> tuple[bool, ...]:
+    """Which of `count` inputs may act later than they came; with one of the user's all may."""
+    query = getattr(actuator, "have_past", None)
+    return (actuator is not None,) * count if query is None else query(count)

@@ -19,7 +19,7 @@ from jaxtyping import Float
 
 from eoi_jax._checks import check
 from eoi_jax._types import WHERE_SET
-from eoi_jax.models.actuators import are_linear, keeps_steps
+from eoi_jax.models.actuators import are_linear, have_past, keeps_steps
 from eoi_jax.models.cascade import Cascade, Stage
 from eoi_jax.models.effects.effect import (
     INPUT_EFFECTS,
@@ -455,6 +455,16 @@ class _Actuator:
     def are_linear(self, count: int) -> tuple[bool, ...]:
         """In which of the inputs it is linear."""
         return self._all_have("is_linear", are_linear(self.base, count))
+
+    def have_past(self, count: int) -> tuple[bool, ...]:
+        """Which of the inputs may act later than they came."""
+        acting = {
+            column
+            for placement in self.placed
+            if isinstance(placement.effect, AbstractActuator)
+            for column in (placement.channel, placement.through)
+        }
+        return tuple(flag or i in acting for i, flag in enumerate(have_past(self.base, count)))
 
     def _all_have(self, attribute: str, base: tuple[bool, ...]) -> tuple[bool, ...]:
         """On which inputs the plant's actuator and all new ones have an attribute."""

@@ -9,6 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
+from eoi_jax.models.actuators import have_past
 from eoi_jax.models.plant import Plant
 from eoi_jax.simulation.integrator import Drive
 from eoi_jax.simulation.sensitivity import Host
@@ -94,10 +95,13 @@ def driven_on_host(
             return inputs_of_all(_with(theta, i, value), levels)
 
         slope[..., column] = _difference(moved, theta[i], record_drives)
-    changes, columns = _changes(record_drives), []
-    for column, change in enumerate(changes):
-        columns.append(_with_level(lambda past: inputs_of_all(theta, past), levels, column, change))
-    risen = np.stack(columns, axis=-1)
+    risen = np.zeros((*inputs.shape, levels.shape[-1]))
+    acts_later = have_past(plant.actuator, levels.shape[-1])
+    for column, change in enumerate(_changes(record_drives)):
+        if acts_later[column]:
+            risen[..., column] = _with_level(
+                lambda past: inputs_of_all(theta, past), levels, column, change
+            )
     past = np.zeros((*places.shape, *risen.shape[1:]))
     past[leaders] = risen[places[leaders]]
     return DrivenInputs(inputs[places], slope[places], past)

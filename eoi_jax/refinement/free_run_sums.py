@@ -36,7 +36,10 @@ def lane_code(problem: Problem, lanes: int, start_size: int) -> LaneCode | None:
 
 
 def sums(
-    unknowns: Unknowns, problem: Problem, code: LaneCode | None = None
+    unknowns: Unknowns,
+    problem: Problem,
+    code: LaneCode | None = None,
+    ended: Bool[np.ndarray, " lanes"] | None = None,
 ) -> Float[np.ndarray, "lanes runs size size"]:
     r"""$\sum w\,c\,c^\top$ of each run: start, then θ, then the error, all weighed.
 
@@ -44,6 +47,7 @@ def sums(
         unknowns: of one lane or several, a leading axis.
         problem: the runs.
         code: `lane_code`, where that is there already.
+        ended: lanes whose sums are not needed; they are NaN where lanes run one at a time.
     """
     theta, starts = np.asarray(unknowns.theta), np.asarray(unknowns.starts)
     if not problem.compiled:
@@ -51,10 +55,11 @@ def sums(
         return np.asarray(_scanned_sums(problem, theta, jnp.asarray(starts)), float)
     if problem.places is None:
         return _summed(problem, code, theta, starts)
-    lanes = zip(theta, starts, strict=True)
-    return np.concatenate(
-        [_summed(problem, code, *(part[None] for part in lane)) for lane in lanes]
-    )
+    lanes = np.arange(len(theta)) if ended is None else np.flatnonzero(~ended)
+    parts = [_summed(problem, code, theta[i, None], starts[i, None])[0] for i in lanes]
+    square = np.full((len(theta), *parts[0].shape), np.nan)
+    square[lanes] = parts
+    return square
 
 
 def _summed(

@@ -68,6 +68,7 @@ class _Reduced:
         start_lengths, lengths: lengths of the columns of starts, at least typical ones, and of θ
             (over all runs).
         predicted_reduction: share of the cost that a step without damping would take away.
+        cancelling: what a single parameter does in that step, over what all of it does, at most.
         cost: there.
     """
 
@@ -78,6 +79,7 @@ class _Reduced:
     start_lengths: Float[np.ndarray, "lanes runs own"]
     lengths: Free
     predicted_reduction: Lanes
+    cancelling: Lanes
     cost: Lanes
 
 
@@ -150,14 +152,16 @@ class _Arrow:
         columns[..., start_size:] /= lengths[:, None, None]
         triangles = _triangle(np.concatenate([columns, error[..., None]], axis=-1))
         damping = np.full(len(theta), _SETTINGS.min_damping)
-        _, remaining_cost = _shared_step(
+        step, remaining_cost = _shared_step(
             _damped(triangles, start_size, damping), start_size, damping
         )
         cost = np.sum(error**2, axis=(1, 2))
         floor = _SETTINGS.cost_floor * self.scored
         predicted_reduction = (cost - remaining_cost) / np.maximum(cost, floor)
+        together = np.sqrt(np.maximum(cost - remaining_cost, floor))
+        cancelling = np.max(np.abs(step), axis=1, initial=0.0) / together
         return _Reduced(theta, np.asarray(at.starts), rows, triangles, start_lengths, lengths,
-                        predicted_reduction, cost)  # fmt: skip
+                        predicted_reduction, cancelling, cost)  # fmt: skip
 
     def stepped(self, reduced: _Reduced, size: Lanes) -> Unknowns:
         """Where the step of damping inverse to `size` leads."""
@@ -352,7 +356,7 @@ def _search(
             if np.all(ended):
                 break
             trial = arrow.stepped(search.reduced, search.size)
-            rows = roots(sums(trial, problem, code), trial.theta, problem.power)
+            rows = roots(sums(trial, problem, code, ended), trial.theta, problem.power)
             search = _chosen(ended, search, arrow.moved(search, trial, rows, patient))
         full = np.full(len(ended), _SETTINGS.initial_damping / _SETTINGS.min_damping)
         further = arrow.stepped(search.reduced, full)
@@ -362,6 +366,7 @@ def _search(
         further,
         reduced.cost,
         reduced.predicted_reduction,
+        reduced.cancelling,
         search.steps,
         (search.steps >= max_steps) & ~search.lost,
     )

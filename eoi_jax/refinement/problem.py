@@ -377,6 +377,7 @@ class Outcome(eqx.Module):
         further: a step without damping from there.
         cost: at `unknowns`, with the weights of the problem.
         predicted_reduction: share of the cost by which a step of least squares would lower it.
+        cancelling: what a single parameter does in that step, over what all of it does, at most.
         steps: simulations with sensitivities. exhausted: whether there were too few.
     """
 
@@ -384,6 +385,7 @@ class Outcome(eqx.Module):
     further: Unknowns
     cost: Float[Host, "*lanes"]
     predicted_reduction: Float[Host, "*lanes"]
+    cancelling: Float[Host, "*lanes"]
     steps: Int[Host, "*lanes"]
     exhausted: Bool[Host, "*lanes"]
 

@@ -30,7 +30,7 @@ from eoi_jax.data.input_holds import (
 )
 from eoi_jax.data.record import Record
 from eoi_jax.data.resampling import acting_inputs, inputs_within_steps
-from eoi_jax.models.actuators import are_linear, keeps_steps
+from eoi_jax.models.actuators import are_linear, have_past, keeps_steps
 from eoi_jax.models.jacobians import has_sampled_actuator
 from eoi_jax.models.known_starts import start_by_name
 from eoi_jax.models.plant import Plant, State
@@ -329,9 +329,10 @@ def past_slopes(plant: Plant, driven_by: Drive) -> Float[np.ndarray, "steps 3 nu
         return linear * np.asarray(_past_slopes(plant, jnp.asarray(plant.theta), driven_by))
     theta, levels = np.asarray(plant.theta), np.eye(len(plant.inputs))
     settled = actuated_on_host(plant, theta, driven_by, 0.0 * levels[0])
-    moved = [actuated_on_host(plant, theta, driven_by, level) for level in levels]
-    risen = np.stack(moved, axis=-1) - settled[..., None]
-    return linear * risen[: len(driven_by.time)]
+    risen = np.zeros((*settled.shape, len(levels)))
+    for column in np.flatnonzero(linear & np.asarray(have_past(plant.actuator, len(levels)))):
+        risen[..., column] = actuated_on_host(plant, theta, driven_by, levels[column]) - settled
+    return risen[: len(driven_by.time)]
 
 
 @jit

@@ -9,6 +9,8 @@ import pytest
 
 import eoi_jax as eoi
 from eoi_jax._status import EngineUsed
+from eoi_jax.models.augmented import augmented, place
+from eoi_jax.models.effects import InputDelay
 from eoi_jax.models.step_scales import LINEAR, StepScales
 from eoi_jax.refinement.free_run_sums import signals
 from eoi_jax.refinement.levenberg_marquardt import solve, solve_many
@@ -142,3 +144,41 @@ def test_a_block_that_sticks_in_the_model_and_slides_in_a_record_does_not_stop_t
     fit = refine_once(block, records, None)
     assert fit.status.ok
     assert fit.parameters == pytest.approx({"gain": 1.0, "friction": 0.5}, rel=1e-3)
+
+
+def pushed_by(law, values, delay=None):
+    """Runs of a mass in a bowl behind an input with steps, of a law that begins off the truth."""
+    truth = eoi.Plant(lambda t, x, u, p: p.gain * u - x.y[0] - p.bend * x.y[0] ** 2,
+                      {"gain": 1.0, "bend": 0.1})  # fmt: skip
+    time = 0.05 * np.arange(400)
+    steps = np.random.default_rng(4).uniform(-1.0, 1.0, 40).repeat(10)
+    record = eoi.simulate(truth, time, steps, [0.0], hold="zero")
+    plant = eoi.Plant(law, values)
+    if delay is not None:
+        plant = augmented(plant, [place(plant, InputDelay(), 0)], {"input_delay": delay})
+    problem = problem_of(plant, [record], spans_of([record], None), 1)
+    return problem, guessed_starts(problem, [record], spans_of([record], None))
+
+
+def test_points_behind_a_delay_that_have_ended_leave_the_last_ones_alone():
+    """The inputs of each are its own, and those of a point that has ended are not computed."""
+    law = lambda t, x, u, p: p.gain * u - x.y[0]  # noqa: E731
+    problem, starts = pushed_by(law, {"gain": 0.8}, 0.05)
+    theta = np.array([[1.1, 0.03], [np.nan, 0.03], [0.5, 0.12]])
+    together = solve_many(problem, Unknowns(theta, np.broadcast_to(starts, (3, *starts.shape))), 20)
+    assert np.isnan(together.cost[1])
+    for i in (0, 2):
+        alone = solve_many(problem, Unknowns(theta[[i]], starts[None]), 20)
+        assert alone.steps[0] == together.steps[i]
+        np.testing.assert_allclose(together.unknowns.theta[i], alone.unknowns.theta[0], rtol=1e-9)
+
+
+@pytest.mark.parametrize(("share", "cancels"), [(1.0, False), (1e-4, True)])
+def test_parameters_that_do_nearly_the_same_cancel_in_a_step(share, cancels):
+    def law(t, x, u, p):
+        y = x.y[0]
+        return p.gain * u - y - (p.first + p.second) * jnp.sin(y) + p.second * share * y**2
+
+    problem, starts = pushed_by(law, {"gain": 1.0, "first": 0.02, "second": -0.02})
+    outcome = solved(problem, Unknowns(np.asarray(problem.theta), starts), 0)
+    assert (outcome.cancelling > 100.0) == cancels
