@@ -63,12 +63,12 @@ from eoi_jax.refinement.multistart import best, points_of
 from eoi_jax.refinement.problem import (
     CONVERGED,
     Outcome,
-    Problem,
     Unknowns,
     beginning,
     weighed,
 )
 from eoi_jax.refinement.result import Refinement
+from eoi_jax.refinement.searches import SEARCH, in_longer_steps, search_around
 from eoi_jax.refinement.skew import SkewedFit, fit_with_skew, mean_error, scored_samples
 from eoi_jax.refinement.spans import Span, spans_of, used_window
 from eoi_jax.refinement.start_check import with_start_check
@@ -82,17 +82,8 @@ from eoi_jax.simulation.validate import Validation, validated_alike
 class RefinementSettings:
     """How fits follow each other."""
 
-    rough_step: int = 4  # of the simulations that sort out starting points, times that of the fit
-    max_rough_error: float = 0.1  # of such steps, over the residual
-    # Share of the cost; where the solver stalls and least squares predicts more, a search follows.
-    max_reduction: float = 0.01
     halvings: int = 3  # of windows that nobody asked for, where runs in them diverge at the start
-    # What single parameters do in a step, over what is left of it, above which it promises nothing.
-    # Set with measured records in view: 200 of two quadratic inputs of a heat exchanger.
-    max_cancelling: float = 50.0
-    search_points: int = 64
     lost: float = 1e3  # error of a single fit over the spread of the output that is no answer
-    search_rounds: int = 4
     beginnings: tuple[float, ...] = (0.125, 0.25, 0.5)  # shares of runs in which errors grow
     # Mean square of the errors in the first of these shares, over that of the whole runs, below
     # which errors grow in a run. Set with measured records in view: 1.3 in a stall at kinks of dry
@@ -460,7 +451,7 @@ def _refined(nominal: Plant, records: tuple[Record, ...], question: _Question) -
             return _refined(nominal, records, replace(question, window=growth.window))
     begun = [(unknowns, sensitivities)] if np.all(np.isfinite(initial_error)) else []
     if len(question.points):
-        rough = _rougher(problem, records, spans, unknowns, initial_error)
+        rough = in_longer_steps(problem, records, spans, unknowns, initial_error)
         further = best(problem, rough, unknowns, question.points, question.rounds)
         begun += [(point, signals(point, problem)) for point in further]
     fits = [fitted(problem, *start, initial_error, effort, huber) for start in begun]
@@ -477,7 +468,7 @@ def _refined(nominal: Plant, records: tuple[Record, ...], question: _Question) -
         if alone and not finer[0][1]:
             fits = [_renewed(fits[0], nominal, records, spans, problem.substeps, effort, huber)]
     if not question.many_starts:
-        fits += _search_around(fits[0], records, spans, effort, huber)
+        fits += search_around(fits[0], records, spans, effort, huber)
     result = refinement_of(lowest(fits, huber), records, spans, window)
     note = choose_steps(result.plant, records).note if substeps is None else ""
     return replace(result, notes=(*result.notes, note)) if note else result
@@ -500,31 +491,6 @@ def _from_passes(
     return unanswered(nominal, records, None, Status("diverged", reason))
 
 
-def _rougher(
-    problem: Problem,
-    records: Sequence[Record],
-    spans: Sequence[Span],
-    unknowns: Unknowns,
-    initial_error: Float[np.ndarray, "runs time ny"],
-) -> Problem:
-    """Longer steps, by which most starts are sorted out, if their error hardly shows at the first.
-
-    Itself where they do not do, or the first start, whose errors are `initial_error`, diverges.
-    """
-    if problem.substeps == 1 or not np.all(np.isfinite(initial_error)):
-        return problem
-    substeps = max(problem.substeps // _SETTINGS.rough_step, 1)
-    rough = stepped(problem, records, spans, substeps)
-    sensitivities = signals(unknowns, rough)
-    step_error = rms(unweighed(rough, sensitivities) - initial_error, problem.use)
-    negligible = step_error <= _SETTINGS.max_rough_error * rms(initial_error, problem.use)
-    return (
-        rough
-        if np.all(negligible) and differentiable_at(rough, unknowns, sensitivities)
-        else problem
-    )
-
-
 def _grown(fit: Fit, unknowns: Unknowns, effort: Effort, huber: float | None) -> Fit:
     """A fit that missed, of runs in which errors grow: anew, from their beginnings on.
 
@@ -544,7 +510,7 @@ def _grown(fit: Fit, unknowns: Unknowns, effort: Effort, huber: float | None) ->
         The better one; with the steps of all.
     """
     predicted_reduction, steps = float(fit.outcome.predicted_reduction), fit.steps
-    threshold = _SETTINGS.max_reduction if bool(fit.outcome.exhausted) else CONVERGED
+    threshold = SEARCH.max_reduction if bool(fit.outcome.exhausted) else CONVERGED
     if predicted_reduction < threshold or not fit.differentiable or not _growing(fit):
         return fit
     for share in (*_SETTINGS.beginnings, 1.0):
@@ -568,38 +534,6 @@ def _growing(fit: Fit) -> bool:
         np.sum(np.where(part, error, 0.0) ** 2) / max(np.sum(part), 1) for part in (first, use)
     )
     return bool(beginning < _SETTINGS.max_beginning_error * overall)
-
-
-def _search_around(
-    fit: Fit,
-    records: Sequence[Record],
-    spans: Sequence[Span],
-    effort: Effort,
-    huber: float | None,
-) -> list[Fit]:
-    """From points around a fit that stalled at a kink, far above what least squares promises.
-
-    Where two parameters do nearly the same, least squares trades them for each other far beyond
-    where the runs are straight in them, and what it promises there is not to be had.
-    """
-    outcome, problem = fit.outcome, fit.problem
-    if (
-        float(outcome.predicted_reduction) < _SETTINGS.max_reduction
-        or float(outcome.cancelling) > _SETTINGS.max_cancelling
-        or bool(outcome.exhausted)
-        or not fit.differentiable
-    ):
-        return []
-    theta = problem.completed(outcome.unknowns.theta)
-    centre = problem.kernel.plant.with_parameters(theta)
-    points = points_of(centre, _SETTINGS.search_points)
-    rough = _rougher(problem, records, spans, outcome.unknowns, fit.error)
-    starts = best(problem, rough, outcome.unknowns, points, _SETTINGS.search_rounds)
-    fits = [
-        fitted(problem, start, signals(start, problem), fit.initial_error, effort, huber)
-        for start in starts
-    ]
-    return [replace(start, steps=fit.steps + start.steps) for start in fits]
 
 
 def _finer(

@@ -11,7 +11,7 @@ from eoi_jax.refinement import multistart
 from eoi_jax.refinement.free_run_sums import signals
 from eoi_jax.refinement.multistart import _standard_steps, _varied, best
 from eoi_jax.refinement.problem import Unknowns, guessed_starts, problem_of, weighed
-from eoi_jax.refinement.refine import _rougher
+from eoi_jax.refinement.searches import in_longer_steps
 from eoi_jax.refinement.spans import spans_of
 
 PERIOD, NOISE = 0.02, 1e-3
@@ -153,7 +153,7 @@ def test_longer_steps_sort_starts_out_where_their_error_hardly_shows():
         plant = PLANT.with_parameters({"stiffness": stiffness})
         runs = problem_of(plant, [record], spans, 8)
         unknowns = Unknowns(jnp.asarray(plant.theta), jnp.full((1, 2), start))
-        return _rougher(runs, [record], spans, unknowns, errors_at(runs, unknowns)).substeps
+        return in_longer_steps(runs, [record], spans, unknowns, errors_at(runs, unknowns)).substeps
 
     assert steps(20.0) == 2
     assert steps(2e5) == 8  # 4.5 rad of its resonance in a longer step, 1.1 in a short one
@@ -167,7 +167,7 @@ def test_longer_steps_weigh_the_outputs_as_the_fit_does():
     spans = spans_of([record], None)
     runs = weighed(problem_of(PLANT, [record], spans, 8), np.array([0.05]), 1.345)
     unknowns = Unknowns(jnp.asarray(PLANT.theta), jnp.zeros((1, 2)))
-    rough = _rougher(runs, [record], spans, unknowns, errors_at(runs, unknowns))
+    rough = in_longer_steps(runs, [record], spans, unknowns, errors_at(runs, unknowns))
     assert rough.substeps == 2
     assert (rough.scale[0], rough.threshold) == (pytest.approx(20.0), 1.345)
 
@@ -178,7 +178,7 @@ def test_one_step_a_sample_is_not_made_longer():
     spans = spans_of([record], None)
     runs = problem_of(PLANT, [record], spans, 1)
     unknowns = Unknowns(jnp.asarray(PLANT.theta), jnp.zeros((1, 2)))
-    assert _rougher(runs, [record], spans, unknowns, errors_at(runs, unknowns)) is runs
+    assert in_longer_steps(runs, [record], spans, unknowns, errors_at(runs, unknowns)) is runs
 
 
 def test_points_take_their_first_steps_in_longer_ones_and_end_in_short_ones(problem, monkeypatch):
