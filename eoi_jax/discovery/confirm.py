@@ -1,11 +1,8 @@
 """Whether free runs on held-out records accept an answer, or even confirm it."""
 
-from collections.abc import Sequence
-
 import numpy as np
 from jaxtyping import Float
 
-from eoi_jax.data.record import Record
 from eoi_jax.discovery.rules import RULES
 from eoi_jax.simulation.sensor_noise import sensor_noise, shows_noise
 from eoi_jax.simulation.validate import FreeRuns, Validation
@@ -62,29 +59,42 @@ def as_good(plain: FreeRuns, wide: FreeRuns) -> bool:
     )
 
 
-def beyond_noise(
-    short: Validation | None, records: Sequence[Record], conclusion: str = HIDDEN
-) -> list[str]:
-    """A sentence for each output whose error in windowed free runs far exceeds its noise.
+def beyond_noise(runs: Validation | None, conclusion: str = HIDDEN) -> list[str]:
+    """A sentence for each output whose error in free runs, in windows, far exceeds its noise.
 
     The error of a correct model is the noise plus the effect of an initial state that is estimated
     from few samples. Whole runs may drift in phase and are not used here. Where differences show
     motion, and the noise is known from above alone, there is less room between both.
 
     Args:
-        short: free runs in windows; None: no sentence.
-        records: that were simulated.
+        runs: free runs in windows, or whole ones of short records; None: no sentence.
         conclusion: end of the sentence.
     """
-    if short is None:
-        return []
-    noise = sensor_noise(short)
-    limits = np.where(shows_noise(short), _RULES.noise, _RULES.bounded_noise)
+    return [] if runs is None else beyond(runs, sensor_noise(runs), conclusion)
+
+
+def beyond(
+    runs: Validation, expected: Float[np.ndarray, " ny"], conclusion: str = HIDDEN
+) -> list[str]:
+    """A sentence for each output whose error far exceeds what is expected of a right model.
+
+    The noise is read off differences, of which a third are independent, about: of few samples it
+    may come out small by chance.
+
+    Args:
+        runs: free runs, whole or in windows.
+        expected: error of a right model [unit of y].
+        conclusion: end of the sentence.
+    """
+    from scipy.special import fdtri  # only discovery needs it
+
+    limits = np.where(shows_noise(runs), _RULES.noise, _RULES.bounded_noise)
+    by_chance = np.sqrt(fdtri(max(runs.scored, 1), max(runs.scored / 3.0, 1.0), _RULES.by_chance))
+    limits = np.maximum(limits, by_chance)
+    length = "" if runs.window is None else " in windows"
     return [
-        _EXCESS.format(name, error / sigma, conclusion)
-        for name, error, sigma, limit in zip(
-            records[0].output_names, short.rmse, noise, limits, strict=True
-        )
+        _EXCESS.format(name, length, error / sigma, conclusion)
+        for name, error, sigma, limit in zip(runs.outputs, runs.rmse, expected, limits, strict=True)
         if sigma > 0 and error > limit * sigma
     ]
 
@@ -103,4 +113,4 @@ def _pairs(prior: FreeRuns, after: FreeRuns) -> list[tuple[Validation, Validatio
     return [(old, new) for old, new in zip(prior, after, strict=True) if old and new]
 
 
-_EXCESS = "free runs of {} in windows miss by {:.2g} times the noise of its sensor{}"
+_EXCESS = "free runs of {}{} miss by {:.2g} times the noise of its sensor{}"

@@ -323,8 +323,8 @@ class _Search:
         else:
             discovery = with_hint(task, without_bias(task, discovery))
         if not resolved:
-            discovery = judged_by_free_runs(task, discovery)
-        discovery = with_doubts(discovery, records, self.refine)
+            discovery = judged_by_free_runs(discovery)
+        discovery = with_doubts(discovery, self.refine)
         discovery = replace(discovery, notes=(*short_notes, *discovery.notes))
         return replace(searched, discovery=discovery)
 

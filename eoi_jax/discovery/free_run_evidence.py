@@ -56,14 +56,14 @@ def long_run_ratio(answer: FreeRunAnswer) -> float:
 
     Short runs start anew so often that effects may hardly change them: what they miss by is noise,
     and cannot fall. Long runs are then asked, on the records that judge and on those of the fit,
-    and the larger ratio counts, of what exceeds the noise of the sensors. Infinite where effects
-    could lower the errors of short runs enough to be confirmed, or where these grow; and where the
-    errors of long runs fall by no more than chance on the records of the fit: those of a plant that
-    integrates wander, and a part of one record may have most of them.
+    and the larger ratio counts, of what exceeds the noise of the sensors. Infinite without short
+    runs, where effects could lower the errors of these enough to be confirmed, or where they grow;
+    and where the errors of long runs fall by no more than chance on the records of the fit: those
+    of a plant that integrates wander, and a part of one record may have most of them.
     """
     best, base = answer.best.runs, answer.base.runs
-    assert best[1] is not None
-    assert base[1] is not None
+    if best[1] is None or base[1] is None:
+        return np.inf
     fitted, fitted_base = answer.best.fit_runs, answer.base.fit_runs
     tells = least_error_ratio(best[1], base[1]) < RULES.answer.confirmed
     grows = np.log(error_ratio(best[1], base[1])) > RULES.judge.same_error

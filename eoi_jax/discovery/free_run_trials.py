@@ -75,7 +75,7 @@ class Search:
         bases: list[Judged] = []
         searched, agree = portion(records, starts[0]), len(starts) > 1
         judge = replace(judge, of_fit=Judge.of(searched, starts[0]))
-        for window in (judge.longest, judge.window):
+        for window in judge.lengths:
             ends = [_fitted(start, present, searched, window, judge) for start in starts]
             fits = [fit for fit in ends if fit is not None]
             bases += [min(fits, key=lambda fit: fit.error_of_all)] if fits else []
@@ -389,8 +389,7 @@ def over_both(
     plant: Plant, placed: tuple[Placed, ...], records: tuple[Record, ...], judge: Judge
 ) -> list[Judged]:
     """A model refined over the long runs and over the short ones of its judge."""
-    windows = judge.longest, judge.window
-    fits = [_fitted(plant, placed, records, window, judge) for window in windows]
+    fits = [_fitted(plant, placed, records, window, judge) for window in judge.lengths]
     return [fit for fit in fits if fit is not None]
 
 

@@ -19,6 +19,7 @@ from eoi_jax.discovery.additions import (
 )
 from eoi_jax.discovery.confirm import beyond_noise
 from eoi_jax.discovery.diagnose import diagnose
+from eoi_jax.discovery.expected_error import misses
 from eoi_jax.discovery.free_run_candidates import Model
 from eoi_jax.discovery.free_run_evidence import (
     contradicted_by_fit,
@@ -55,6 +56,7 @@ from eoi_jax.models.effects import (
     Overflow,
     Product,
     SinusoidalDisturbance,
+    StribeckFriction,
 )
 from eoi_jax.models.effects.effect import AbstractEffect
 from eoi_jax.models.plant import Plant
@@ -85,10 +87,10 @@ def leaves_open(discovery: Discovery) -> bool:
             return False
         # What is read as noise off a few samples may be motion.
         lost = bool(np.any(runs.nrmse > _RULES.useless))
-        return lost or bool(beyond_noise(runs, discovery.held_out))
+        return lost or bool(beyond_noise(runs))
     # What holds over time alone tells no held-out record to its noise.
     in_time = _in_time(discovery.added) and _misses_by_more_than_noise(discovery)
-    doubted = in_time or _bends(discovery.added)
+    doubted = in_time or _bends(discovery.added) or _vanishes(discovery.added)
     doubted |= _may_be_store(discovery.added) and not is_small
     return code in ("unexplained", "no_data") or (code == "complete" and doubted)
 
@@ -96,9 +98,10 @@ def leaves_open(discovery: Discovery) -> bool:
 def _stands_in(added: Sequence[Added]) -> bool:
     """Whether effects stand in for others: a disturbance in time, a loss with a kink.
 
-    An overflow beside an offset or a leak is one, in place of a loss that bends.
+    An overflow beside an offset or a leak is one, in place of a loss that bends, and dry friction
+    that is gone at speed in place of dry friction and drag.
     """
-    return _in_time(added) or _bends(added)
+    return _in_time(added) or _bends(added) or _vanishes(added)
 
 
 def is_doubtful(added: Sequence[Added]) -> bool:
@@ -116,10 +119,19 @@ def _bends(added: Sequence[Added]) -> bool:
     return _share_output(added, Overflow, ConstantOffset | Leak)
 
 
+def _vanishes(added: Sequence[Added]) -> bool:
+    """Whether dry friction that falls with the velocity is none at speed, as far as is told."""
+    stribeck = [item for item in added if isinstance(item.effect, StribeckFriction)]
+    pairs = [(item.parameters, item.standard_errors) for item in stribeck]
+    levels = [(values[name], errors[name]) for values, errors in pairs for name in list(values)[:1]]
+    limit = RULES.judge.min_deviations
+    return any(level == 0.0 or not level > limit * error for level, error in levels)
+
+
 def _misses_by_more_than_noise(discovery: Discovery) -> bool:
     """Whether free runs of an answer on held-out records do, whole or in windows."""
-    runs = discovery.after, discovery.windows_after
-    return any(beyond_noise(run, discovery.held_out) for run in runs)
+    runs = [run for run in (discovery.after, discovery.windows_after) if run is not None]
+    return any(bool(np.any(run.rmse > _RULES.silent * sensor_noise(run))) for run in runs)
 
 
 def _may_be_store(added: Sequence[Added]) -> bool:
@@ -216,7 +228,7 @@ def leaves_more(discovery: Discovery) -> bool:
     # An error below what was taken for noise: that was fast motion, and tells nothing.
     noise = sensor_noise(runs)
     motion = np.any((runs.rmse < _RULES.motion * noise) & (runs.nrmse > _RULES.small))
-    return bool(motion) or bool(beyond_noise(runs, discovery.held_out))
+    return bool(motion) or bool(beyond_noise(runs))
 
 
 def misses_widely(discovery: Discovery) -> bool:
@@ -302,7 +314,7 @@ def with_further_effects(
     hints = []
     confirms = bool(further) and ratio < RULES.answer.confirmed
     is_product = any(isinstance(at.effect, PRODUCTS) for at in further)
-    if confirms and is_product and beyond_noise(model.runs[1], answer.judging):
+    if confirms and is_product and beyond_noise(model.short_runs):
         # It names no cause, and would take its share of those that are named.
         hints = [_HINT.format(" and ".join(_signals_of(plant, at) for at in further), ratio)]
     if hints or not confirms:
@@ -386,7 +398,7 @@ def answered(
     imitates = without_product and _imitates(discovery, best)
     if best.placed and confirms and not lost and not imitates:
         names = labels_of(best.placed)
-        excess = beyond_noise(best.runs[1], answer.judging)
+        excess = misses(best)
         code, text = ("partial", _PARTIAL) if excess else ("complete", _COMPLETE)
         outcome = replace(discovery, status=Status(code, text.format(names, ratio)), lead=None)
         outcome = _with_model(outcome, answer, best, lowpass)
@@ -398,7 +410,7 @@ def answered(
         fit = _fit_of(discovery, answer, best, lowpass)
         added = _added(discovery, answer, fit, best)
         lead = PartialExplanation(added, 1.0 - ratio**2, fit, *best.runs)
-    excess = bool(beyond_noise(base.runs[1], answer.judging)) or _tells_of_motion(lead, base)
+    excess = bool(misses(base)) or _tells_of_motion(lead, base)
     if answer.better_base or (lead is None and not excess and _is_noise(answer)):
         # What the injection said of the model as it was is said of no other one; where samples are
         # far apart it is an error of what lies between them.
@@ -427,8 +439,7 @@ def _tells_of_motion(lead: PartialExplanation | None, base: Judged) -> bool:
 
     What is read as the noise of such records may be motion.
     """
-    runs = base.runs[1] or base.runs[0]
-    return lead is not None and bool(np.any(runs.nrmse > _RULES.useless))
+    return lead is not None and bool(np.any(base.short_runs.nrmse > _RULES.useless))
 
 
 def _with_model(

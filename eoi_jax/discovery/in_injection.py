@@ -82,8 +82,8 @@ def search_injection(
         progress("fitting again, free runs", 1 + _RULES.rounds, STAGES)
         discovery = _answer(task, steps, rounds, runs_before())
     # Of outputs that are functions of the states, free runs are not searched where they contradict.
-    runs, judging = discovery.windows_after, task.held_out or task.records
-    denied_by_runs = task.plant.has_algebraic and bool(beyond_noise(runs, judging))
+    misses_by_more = bool(beyond_noise(discovery.windows_after))
+    denied_by_runs = task.plant.has_algebraic and misses_by_more
     quiet = discovery.status.code == "nothing_missing"
     is_open = discovery.status.code == "unexplained" or (quiet and denied_by_runs)
     if not is_open:
@@ -108,7 +108,7 @@ def _dependences_beside(
     same.
     """
     runs = discovery.windows_after or discovery.after
-    if discovery.in_sample or not discovery.added or not beyond_noise(runs, discovery.held_out):
+    if discovery.in_sample or not discovery.added or not beyond_noise(runs):
         return ()
     return tuple(effect for effect in effects if isinstance(effect, ParameterDependence))
 
@@ -175,9 +175,9 @@ def without_search(task: Task, progress: Progress) -> Discovery:
     return replace(discovery, status=Status("nothing_missing", _UNRESOLVED), lead=None)
 
 
-def judged_by_free_runs(task: Task, discovery: Discovery) -> Discovery:
+def judged_by_free_runs(discovery: Discovery) -> Discovery:
     """Whether free runs alone show something that no effect explains."""
-    doubts = beyond_noise(discovery.windows_after, task.held_out or task.records)
+    doubts = beyond_noise(discovery.windows_after)
     if discovery.status.code != "nothing_missing" or not doubts:
         return discovery
     return replace(discovery, status=Status("unexplained", f"{_UNRESOLVED}, and {doubts[0]}"))

@@ -60,6 +60,11 @@ class Judged:
         return 0.5 * (self.error + mean_error(self.fit_runs))
 
     @property
+    def short_runs(self) -> Validation:
+        """Those in windows; whole ones of records too short for these."""
+        return self.runs[1] or self.runs[0]
+
+    @property
     def size(self) -> int:
         """Parameters of its effects, less those whose terms they replace."""
         effects = sum(len(effect.names) for effect in self.placed)
@@ -77,14 +82,15 @@ class Judge:
 
     Attributes:
         records: that no fit has seen.
-        window: length of short runs [s]. head: samples at the start of each, not scored.
+        window: length of short runs [s]; None: whole runs alone, of records too short for others.
+        head: samples at the start of each, not scored.
         whole_head: the same of whole runs.
         longest: length of the long runs [s]; None: whole records.
         of_fit: the same for the records of the fit; None where these are too short, or not asked.
     """
 
     records: tuple[Record, ...]
-    window: float
+    window: float | None
     head: int
     whole_head: int
     longest: float | None = None
@@ -92,7 +98,7 @@ class Judge:
 
     @classmethod
     def of(cls, records: tuple[Record, ...], plant: Plant) -> "Judge | None":
-        """The judge of a model and of what is added to it; None with records too short for windows.
+        """The judge of a model and of what is added to it; None with records too short for that.
 
         Windows are long enough for motion beyond the noise, and to know their starts; of whole runs
         a block of samples for each derivative tells it, for the error of a velocity grows. Of an
@@ -106,11 +112,13 @@ class Judge:
         step = steps_between_samples(records)
         shortest, segment = _samples(records, step)
         fewest = max(_RULES.min_window, min(_RULES.min_window * plant.rows, shortest // 3))
-        if 2 * fewest > shortest or fewest > segment:
+        if segment < min(fewest, shortest) or shortest < _RULES.fewest:
             return None
         block = shortest // _RULES.blocks + 3
         whole_head = min(_RULES.start, plant.rows * block, shortest // 3, segment // 2)
-        whole_head = round(whole_head * step)
+        whole_head = _steps_with(records, whole_head, step)
+        if 2 * fewest > shortest:
+            return cls(records, None, whole_head, whole_head)
         whole = judged_runs(plant, records, whole_head)
         noise = sensor_noise(whole)
         moving = [
@@ -135,8 +143,15 @@ class Judge:
             window_head(longest, plant, records), longest,
         )  # fmt: skip
 
+    @property
+    def lengths(self) -> tuple[float | None, ...]:
+        """Lengths of the runs that models are refined over [s]; None of whole records."""
+        return tuple(dict.fromkeys((self.longest, self.window)))
+
     def without_whole_runs(self) -> "Judge":
         """A judge by two lengths of windows, for models of which whole runs say nothing."""
+        if self.window is None:
+            return self
         return replace(self, longest=2.0 * self.window, whole_head=self.head)
 
     def runs(self, plant: Plant, steps: int | None = None) -> FreeRuns:
@@ -149,6 +164,8 @@ class Judge:
         long_runs = judged_runs(
             plant, self.records, self.whole_head, self.longest, steps, _RULES.steps
         )
+        if self.window is None:
+            return long_runs, None
         steps = long_runs.substeps
         return long_runs, judged_runs(plant, self.records, self.head, self.window, steps)
 
@@ -257,6 +274,19 @@ def _samples(records: Sequence[Record], step: float) -> tuple[int, int]:
     """
     parts = [max(stop - start for start, stop in record.input_segments()) for record in records]
     return int(min(map(len, records)) / step), int(min(parts) / step)
+
+
+def _steps_with(records: Sequence[Record], count: int, step: float) -> int:
+    """Steps of the grid up to the sample that follows so many at the start of each record, at most.
+
+    Args:
+        records: that judge.
+        count: of samples of each output.
+        step: of the grid from a sample to the next, on average.
+    """
+    places = [np.flatnonzero(valid) for record in records for valid in record.output_valid.T]
+    following = max((int(place[count]) for place in places if len(place) > count), default=0)
+    return min(round(count * step), max(following, count))
 
 
 def _moves(records: Sequence[Record], count: int, noise: Float[np.ndarray, " ny"]) -> bool:

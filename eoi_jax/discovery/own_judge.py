@@ -120,7 +120,7 @@ def with_own_judge(
     fitted = with_hold(fitted, settled.hold, settled.skew)
     window = window_length(fitted, 2 * longest_start(plant, fitted))
     long_runs, short_runs = whole_and_windows(plant, fitted, window)
-    misses = beyond_noise(short_runs or long_runs, fitted, _IN_FIT)
+    misses = beyond_noise(short_runs or long_runs, _IN_FIT)
     return replace(judged, status=Status("unexplained", misses[0])) if misses else judged
 
 

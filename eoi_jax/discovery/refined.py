@@ -160,7 +160,7 @@ def _is_settled(plant: Plant, records: tuple[Record, ...], judge: Judge) -> bool
 
     Over long runs and over short ones: in either it may end in a wrong minimum next to the start.
     """
-    for window in (judge.longest, judge.window):
+    for window in judge.lengths:
         fit = refine_once(plant, records, window, max_steps=_RULES.first_steps)
         moves = np.subtract(list(fit.parameters.values()), list(plant.parameters.values()))
         limits = RULES.judge.min_deviations * np.array(list(fit.standard_errors.values()))

@@ -32,20 +32,18 @@ from eoi_jax.simulation.validate import whole_and_windows
 _RULES = RULES.differences
 
 
-def with_doubts(discovery: Discovery, records: Sequence[Record], refined: bool) -> Discovery:
+def with_doubts(discovery: Discovery, refined: bool) -> Discovery:
     """An answer that nothing is missing, with what its free runs say against that.
 
     Of outputs that are functions of the states no free runs are searched that could answer.
 
     Args:
         discovery: the answer of the injection.
-        records: of the fit.
         refined: whether the answer was refined.
     """
     if discovery.status.code != "nothing_missing":
         return discovery
-    judging = records if discovery.in_sample else discovery.held_out
-    doubts = beyond_noise(discovery.windows_after, judging)
+    doubts = beyond_noise(discovery.windows_after)
     if doubts and discovery.plant.has_algebraic:
         return replace(discovery, status=Status("unexplained", doubts[0]))
     suggestion = "" if refined else _REFINE_HINT
@@ -63,7 +61,7 @@ def partial_where_more_is_left(discovery: Discovery) -> Discovery:
     status, runs = discovery.status, discovery.windows_after or discovery.after
     if status.code != "complete" or not discovery.added or discovery.in_sample or runs is None:
         return discovery
-    excesses = beyond_noise(runs, discovery.held_out, _MORE_MISSING)
+    excesses = beyond_noise(runs, _MORE_MISSING)
     if not excesses:
         return discovery
     before = discovery.before if discovery.windows_after is None else discovery.windows_before

@@ -190,6 +190,7 @@ class AnswerRules:
             measured, whose start is told by few samples; of two of `other_rigs` it is 2.1 and 2.7.
         bounded_noise: the same where samples are so far apart that differences show the motion,
             and the noise is only known from above.
+        by_chance: probability with which noise that is read off few samples explains an error.
         as_good: largest ratio of the errors of a simpler and a wider law at which it is preferred.
         offset_errors: standard errors within which an offset beside dry friction is negligible.
         offset_share: share of the friction level below which it is.
@@ -209,6 +210,7 @@ class AnswerRules:
     confirmed: float = 2.0 / 3.0
     noise: float = 2.0
     bounded_noise: float = 1.5
+    by_chance: float = 0.99
     as_good: float = 1.01
     offset_errors: float = 2.0
     offset_share: float = 1e-2
@@ -283,6 +285,7 @@ class JudgeRules:
     # more than a block for each derivative. Set with torsion_rig in view.
     start: int = 50
     min_window: int = 12  # samples, for each unknown of the start of an output
+    fewest: int = 8  # samples of a record that judges, in whole runs alone where that is so short
     # Error of a whole run over the spread, from which on it says nothing of a plant in which errors
     # of a start grow. Set with dfki_simple_pendulum in view.
     misled: float = 0.1

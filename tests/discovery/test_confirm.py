@@ -42,10 +42,10 @@ def records():
 
 
 def test_free_runs_beyond_the_noise_are_told(records):
-    assert beyond_noise(validate(plant(200.0), records[0], window=1.0), [records[0]]) == []
-    (told,) = beyond_noise(validate(plant(220.0), records[0], window=1.0), [records[0]])
+    assert beyond_noise(validate(plant(200.0), records[0], window=1.0)) == []
+    (told,) = beyond_noise(validate(plant(220.0), records[0], window=1.0))
     assert told.startswith("free runs of place in windows miss by ")
-    assert beyond_noise(None, [records[0]]) == []
+    assert beyond_noise(None) == []
 
 
 @pytest.mark.parametrize("seed", range(3))
@@ -62,10 +62,10 @@ def test_of_slow_samples_an_error_within_their_differences_is_more_than_noise(se
         period, u, y + noise * draw.standard_normal(y.shape), output_names="level", hold="zero"
     )
     lag = Plant(lambda t, x, u, p: p.b * u - x.y[0], {"b": 1.0}, 1, outputs=("level",))
-    assert beyond_noise(validate(lag, record, window=60.0), [record]) == []
+    assert beyond_noise(validate(lag, record, window=60.0)) == []
     runs = validate(lag.with_parameters({"b": 1.2}), record, window=60.0)
     assert 3.0 * noise < runs.rmse[0] < 3.0 * record.noise[0]
-    assert len(beyond_noise(runs, [record])) == 1
+    assert len(beyond_noise(runs)) == 1
 
 
 @pytest.fixture
@@ -95,7 +95,7 @@ def test_held_out_free_runs_that_miss_are_searched_and_may_blame_the_estimate(re
     found = discover(plant(220.0), *records, effects="cubic_stiffness")
     assert (found.status.code, found.effects) == ("nothing_missing", ())
     assert found.plant.parameters["k"] == pytest.approx(200.0, rel=1e-3)
-    assert beyond_noise(found.windows_after, [records[1]]) == []
+    assert beyond_noise(found.windows_after) == []
     assert any("was refined by the error of its free runs" in note for note in found.notes)
     assert not any("noise of its sensor" in note for note in found.notes)
 

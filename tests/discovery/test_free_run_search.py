@@ -655,11 +655,14 @@ def test_an_effect_with_which_refinement_tells_no_parameter_any_more_goes(monkey
     assert found.rounds == ()
 
 
-def test_records_too_short_for_windows_are_not_judged():
+def test_records_too_short_for_windows_are_judged_in_whole_runs():
     record = measured(1)
     short = eoi.Record(record.time[:20], record.inputs[:20], record.outputs[:20], hold="zero")
-    assert Judge.of((short,), PLATE) is None
-    assert search_free_runs([PLATE], [((record,), (short,))], [effects.ConstantOffset()]) is None
+    judge = Judge.of((short,), PLATE)
+    assert judge is not None
+    assert judge.lengths == (None,)
+    assert judge.runs(PLATE)[1] is None
+    assert judge.without_whole_runs() is judge
 
 
 @pytest.mark.parametrize(

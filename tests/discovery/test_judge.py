@@ -157,9 +157,9 @@ def test_what_confirms_nothing_shows_nothing_to_be_missing_within_the_noise(
     found = eoi.discover(
         PENDULUM, released(1, 20.0, 0.0), released(2, 15.0, 0.0), ["quadratic_drag"]
     )
-    assert in_free_runs.beyond_noise(answer.base.runs[1], answer.judging) == []
+    assert in_free_runs.misses(answer.base) == []
     if excess:
-        monkeypatch.setattr(in_free_runs, "beyond_noise", lambda runs, records: excess)
+        monkeypatch.setattr(in_free_runs, "misses", lambda model: excess)
     moved = 1.0 if nrmse is None else nrmse / answer.base.runs[1].nrmse[0]
     base, best = (
         replace(model, runs=tuple(replace(run, nrmse=moved * run.nrmse) for run in model.runs))
@@ -184,7 +184,7 @@ def test_held_out_records_within_the_noise_outweigh_what_the_injection_leaves(
         PENDULUM, released(1, 20.0, 0.0), released(2, 15.0, 0.0), ["quadratic_drag"]
     )
     found = replace(found, status=eoi.Status("unexplained", ""))
-    monkeypatch.setattr(in_free_runs, "beyond_noise", lambda runs, records: [])
+    monkeypatch.setattr(in_free_runs, "misses", lambda model: [])
     over = {"long": 0.9 if silent else 1.1, "short": 0.9}  # errors over the limit
     limits = np.array(list(over.values())) * in_free_runs._RULES.silent
     runs = answer.base.runs

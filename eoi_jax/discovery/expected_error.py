@@ -1,0 +1,80 @@
+r"""The error that a right model is expected to make in free runs, and whether one makes more.
+
+The start of a run is known from its first samples, and the parameters from the records of the fit.
+With $J_x$ and $J_\theta$ the derivatives of an output over its noise $\sigma$ with both, $P$ the
+covariance that the samples of the head leave the start and $C$ that of the parameters, a right
+model errs by
+
+$$ \sigma^2 \bigl(1 + J_x P J_x^\top + J_\theta C J_\theta^\top\bigr),\quad
+   P = \Bigl(\sum_{head} J_x^\top J_x\Bigr)^{-1}. $$
+
+In a culture that grows a start that is told by three samples is most of it. The noise itself is
+read off differences of few samples; the ratio of both squares is then that of an F distribution.
+
+Derivation: variance of a prediction by linear least squares, L. Ljung, *System Identification*,
+2nd ed., appendix II.
+"""
+
+import numpy as np
+from jaxtyping import Float
+
+from eoi_jax.discovery.confirm import beyond
+from eoi_jax.discovery.judge import Judged
+from eoi_jax.refinement.first_runs import first_runs
+from eoi_jax.refinement.result import Refinement
+from eoi_jax.refinement.spans import spans_of
+from eoi_jax.simulation.error_growth import returns
+from eoi_jax.simulation.sensor_noise import sensor_noise
+from eoi_jax.simulation.validate import Validation
+
+
+def misses(model: Judged) -> list[str]:
+    """A sentence for each output that misses held-out records by more than a right model may.
+
+    None where long runs miss by no more: in windows the start is known less well. None where short
+    runs alone do not, either, and long ones may drift, as those of an oscillator or an integrator;
+    those of a plant that returns to rest show what is missing.
+    """
+    plant = model.refinement.plant
+    long_runs, short_runs = model.runs
+    of_long = _excess(model, long_runs)
+    if not of_long or short_runs is None:
+        return of_long
+    return _excess(model, short_runs) or (of_long if returns(plant, long_runs.records) else [])
+
+
+def _excess(model: Judged, run: Validation) -> list[str]:
+    """Of runs of one length; what a right model may err by is asked where the noise is exceeded."""
+    if not beyond(run, sensor_noise(run)):
+        return []
+    return beyond(run, expected_error(model.refinement, run))
+
+
+def expected_error(refinement: Refinement, run: Validation) -> Float[np.ndarray, " ny"]:
+    """Root mean square of the error of each output, were the model right [unit of y].
+
+    Args:
+        refinement: of the model, with the covariance of its parameters.
+        run: its free runs, whole or in windows.
+    """
+    noise, plant, records = sensor_noise(run), refinement.plant, run.records
+    spans = spans_of(records, run.window)
+    problem, _, weighed = first_runs(plant, records, spans, run.substeps or None)
+    slopes = weighed[..., :-1] / (np.asarray(problem.scale) * noise)[:, None]
+    own = slopes.shape[-1] - len(problem.free)
+    covariance = np.nan_to_num(refinement.covariance)[np.ix_(problem.free, problem.free)]
+    covariance[np.diagonal(covariance) == 0.0] = 0.0
+    share, count = np.zeros(len(noise)), np.zeros(len(noise))
+    for slope, span, use in zip(slopes, spans, problem.use, strict=True):
+        scored = run.scored_at[span.record]
+        head = int(np.argmax(scored)) if np.any(scored) else len(scored)
+        of_start, of_theta = slope[..., :own], slope[..., own:]
+        seen = of_start[:head].reshape(-1, own)
+        start = np.linalg.pinv(seen.T @ seen, rcond=1e-10, hermitian=True)
+        part = np.einsum("tjs,sr,tjr->tj", of_start, start, of_start)
+        part += np.einsum("tjp,pq,tjq->tj", of_theta, covariance, of_theta)
+        counted = use & (np.arange(len(use)) >= head)[:, None]
+        share += np.sum(np.where(counted, part, 0.0), axis=0)
+        count += np.sum(counted, axis=0)
+    mean = np.nan_to_num(share / np.maximum(count, 1.0), posinf=0.0)
+    return noise * np.sqrt(1.0 + np.maximum(mean, 0.0))
