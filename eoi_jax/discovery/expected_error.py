@@ -62,8 +62,7 @@ def expected_error(refinement: Refinement, run: Validation) -> Float[np.ndarray,
     problem, _, weighed = first_runs(plant, records, spans, run.substeps or None)
     slopes = weighed[..., :-1] / (np.asarray(problem.scale) * noise)[:, None]
     own = slopes.shape[-1] - len(problem.free)
-    covariance = np.nan_to_num(refinement.covariance)[np.ix_(problem.free, problem.free)]
-    covariance[np.diagonal(covariance) == 0.0] = 0.0
+    covariance = _covariance(refinement, noise)[np.ix_(problem.free, problem.free)]
     share, count = np.zeros(len(noise)), np.zeros(len(noise))
     for slope, span, use in zip(slopes, spans, problem.use, strict=True):
         scored = run.scored_at[span.record]
@@ -78,3 +77,19 @@ def expected_error(refinement: Refinement, run: Validation) -> Float[np.ndarray,
         count += np.sum(counted, axis=0)
     mean = np.nan_to_num(share / np.maximum(count, 1.0), posinf=0.0)
     return noise * np.sqrt(1.0 + np.maximum(mean, 0.0))
+
+
+def _covariance(refinement: Refinement, noise: Float[np.ndarray, " ny"]) -> np.ndarray:
+    """That of the parameters, were the residual of the fit the noise; zero where it is not known.
+
+    Of an output that the fit misses by more than another one less is known: what it tells counts
+    as much as that of the one where both are nearest.
+    """
+    size, information = len(refinement.parameters), refinement.information
+    if information is None or not np.all(np.isfinite(information)):
+        return np.zeros((size, size))
+    lengths = np.sqrt(np.diagonal(information))
+    lengths = np.where(lengths > 0.0, lengths, np.inf)
+    scaled = np.linalg.pinv(information / np.outer(lengths, lengths), rcond=1e-10, hermitian=True)
+    share = np.max(noise / np.maximum(refinement.rmse, np.finfo(float).tiny))
+    return min(share, 1.0) ** 2 * scaled / np.outer(lengths, lengths)

@@ -44,6 +44,24 @@ def affine_inputs(plant: Plant, points: int = 16) -> Bool[np.ndarray, " nu"]:
     return np.all(equal | (np.isnan(first) & np.isnan(second)), axis=(0, 1))
 
 
+def product_inputs(plant: Plant, points: int = 16) -> Bool[np.ndarray, "ny nu"]:
+    """Which inputs stand in the equation of an output in products with other signals alone.
+
+    A term that is proportional to such an input is none that the equation has: the voltage that a
+    diode takes in a converter, whose duty multiplies its voltages and currents. What an input does
+    to a state of the plant is not asked.
+
+    Arguments are those of `used_inputs`.
+    """
+    alone = np.zeros((len(plant.outputs), len(plant.inputs)), dtype=bool)
+    t, y, u = _points(plant, points)
+    for k in range(len(plant.inputs)):
+        single = np.where(np.arange(len(plant.inputs)) == k, u, 0.0)
+        slopes, _ = along(_slopes, ("fixed", "rows"), plant, (t, 0.0 * y, single))
+        alone[:, k] = np.all(slopes[..., k] == 0.0, axis=0)
+    return alone & used_inputs(plant, points)
+
+
 def _points(plant: Plant, points: int) -> tuple[Any, Any, Any]:
     """Time, outputs and inputs at any points: an input that is not there shows at none."""
     draw = np.random.default_rng(0)

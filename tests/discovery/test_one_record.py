@@ -74,12 +74,12 @@ def test_what_is_held_out_is_the_end_of_the_motion_and_the_rest():
 
 def test_an_end_in_which_nothing_is_seen_does_not_show_that_nothing_is_missing():
     """A body that cools by radiation: its end is as that of a body that does not."""
-    time, kelvin = 30.0 * np.arange(120), [673.15]
+    time, kelvin = 30.0 * np.arange(200), [673.15]
     for _ in time[1:]:
         radiated = 1e-11 * (kelvin[-1] ** 4 - 294.15**4)
         kelvin.append(kelvin[-1] - 30.0 * (4e-4 * (kelvin[-1] - 294.15) + radiated))
-    noise = 0.5 * np.random.default_rng(0).standard_normal(120)
-    record = eoi.Record(time, np.zeros((120, 0)), np.asarray(kelvin) - 273.15 + noise)
+    noise = 0.5 * np.random.default_rng(0).standard_normal(200)
+    record = eoi.Record(time, np.zeros((200, 0)), np.asarray(kelvin) - 273.15 + noise)
     body = eoi.Plant(lambda t, x, u, p: -p.k * (x.y[0] - 21.0), {"k": 3e-4}, 1, inputs=())
     found = eoi.discover(body, record, effects=["coulomb_friction"])
     assert found.status.code == "unexplained"

@@ -8,12 +8,12 @@ from eoi_jax.report.discovery import answer
 
 def test_an_effect_that_needs_held_out_records_is_not_called_tested():
     """A hot body that radiates, of which the model knows the convection alone; a short record."""
-    time, celsius = 30.0 * np.arange(60), [400.0]
+    time, celsius = 30.0 * np.arange(24), [400.0]
     for _ in time[1:]:
         kelvin = celsius[-1] + 273.15
         radiated = (kelvin / 100) ** 4 - (294.15 / 100) ** 4
         celsius.append(celsius[-1] - 30.0 * (4e-4 * (celsius[-1] - 21.0) + 1e-3 * radiated))
-    noise = 0.5 * np.random.default_rng(0).standard_normal(60)
+    noise = 0.5 * np.random.default_rng(0).standard_normal(24)
     body = eoi.Plant(
         lambda t, x, u, p: -p.k * (x.y[0] - 21.0),
         {"k": 3e-4},
@@ -21,7 +21,7 @@ def test_an_effect_that_needs_held_out_records_is_not_called_tested():
         outputs=("temperature",),
         units={"temperature": "degC"},
     )
-    record = eoi.Record(time, np.zeros((60, 0)), np.asarray(celsius) + noise)
+    record = eoi.Record(time, np.zeros((24, 0)), np.asarray(celsius) + noise)
     found = eoi.discover(body, record, effects=["radiation"])
     assert found.status.code == "unexplained"
     assert "no effect was tried: those that are asked for need held-out" in found.status.message

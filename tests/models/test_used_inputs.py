@@ -5,7 +5,8 @@ import numpy as np
 import pytest
 
 import eoi_jax as eoi
-from eoi_jax.models.used_inputs import affine_inputs, used_inputs
+from eoi_jax.models.effects.products import input_actions
+from eoi_jax.models.used_inputs import affine_inputs, product_inputs, used_inputs
 
 
 @pytest.mark.parametrize(
@@ -34,3 +35,21 @@ def test_an_input_that_drives_an_internal_state_squared_is_not_affine():
     np.testing.assert_array_equal(affine_inputs(plant), [False])
     np.testing.assert_array_equal(used_inputs(plant), [[True]])
     assert affine_inputs(eoi.Plant(lambda t, x, u, p: p.a, {"a": 1.0}, inputs=())).size == 0
+
+
+def test_an_input_that_only_multiplies_others_is_in_products_alone():
+    """A boost converter: its duty multiplies the voltage and the current, its supply does not."""
+
+    def converter(t, x, u, p):
+        current, voltage = x.y[0]
+        opened = 1.0 - u[0]
+        return jnp.stack(
+            [(u[1] - opened * voltage) / p.coil, (opened * current - voltage) / p.store]
+        )
+
+    plant = eoi.Plant(converter, {"coil": 2e-4, "store": 1e-4}, (1, 1), inputs=("duty", "supply"),
+                      outputs=("current", "voltage"))  # fmt: skip
+    np.testing.assert_array_equal(product_inputs(plant), [[True, False], [True, False]])
+    duty, supply = input_actions(plant)
+    assert [duty.fits(plant, j) for j in (0, 1)] == [True, True]
+    assert [supply.fits(plant, j) for j in (0, 1)] == [False, True]

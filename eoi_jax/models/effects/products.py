@@ -11,7 +11,7 @@ import jax.numpy as jnp
 from eoi_jax.models.effects.effect import AbstractTerm, At, Parameter
 from eoi_jax.models.effects.signals import AbstractSignalProduct, signals_of
 from eoi_jax.models.plant import Plant
-from eoi_jax.models.used_inputs import used_inputs
+from eoi_jax.models.used_inputs import product_inputs, used_inputs
 
 
 @dataclass(frozen=True)
@@ -81,9 +81,11 @@ class InputProduct(AbstractSignalProduct):
 
 
 class InputAction(AbstractSignalProduct):
-    """a u: an input acts on an output whose equation does not have it.
+    """a u: an input acts on an output whose equation does not have it, or in products alone.
 
-    The sun on a room, a second pump, the speed of the wind: it was recorded, and left out.
+    The sun on a room, a second pump, the speed of the wind: it was recorded, and left out. The
+    voltage that a diode takes while the switch of a converter is open goes with the duty, which
+    else multiplies voltages and currents.
 
     Attributes:
         signals: one input of the plant.
@@ -95,9 +97,13 @@ class InputAction(AbstractSignalProduct):
     rarity = 1.0  # an input that hardly moves does what an offset does
 
     def fits(self, plant: Plant, output: int) -> bool:
-        """Where neither the equation of the output nor that of an internal state has the input."""
+        """Where neither the equation of the output has such a term, nor that of a state."""
         (signal,) = self.signals
-        return super().fits(plant, output) and not used_inputs(plant)[output, signal.column]
+        place = output, signal.column
+        lacks = not used_inputs(plant)[place]
+        if not lacks and plant.internal is None:
+            lacks = bool(product_inputs(plant)[place])
+        return super().fits(plant, output) and lacks
 
 
 # Both name no cause.
