@@ -17,7 +17,7 @@ from eoi_jax.estimation.regression.orthonormal import orthonormal
 from eoi_jax.estimation.regression.robust_covariance import covariance_of_estimate
 from eoi_jax.models.check_records import unit_notes
 from eoi_jax.models.plant import Plant
-from eoi_jax.refinement.fit import Fit, log_cost, rms
+from eoi_jax.refinement.fit import Fit, faint_parameters, log_cost, rms
 from eoi_jax.refinement.problem import CONVERGED
 from eoi_jax.refinement.result import Refinement, Start
 from eoi_jax.refinement.spans import FEWEST_STEPS, Span
@@ -65,7 +65,7 @@ def refinement_of(
         _per_sample(error, fit.use, records, spans),
         fit.steps,
         window,
-        _status(fit, certainty.lost, factors),
+        _status(fit, certainty.lost, factors, () if is_trial else faint_parameters(fit)),
         (
             *(FitNote(_ON_BOUND.format(name, plant.parameters[name])) for name in bound),
             *_unsettled(fit),
@@ -108,6 +108,18 @@ def compared_with(
         cost_before=log_cost(before),
         residual_before=residual,
     )
+
+
+def with_steps(result: Refinement, steps: int) -> Refinement:
+    """A result with the steps of fits before it counted."""
+    total = result.steps + steps
+    converged = result.status.code == "converged"
+    return replace(result, steps=total, status=_converged(total) if converged else result.status)
+
+
+def _converged(steps: int) -> Status:
+    of_all = counted(steps, "step")
+    return Status("converged", f"no step lowers the cost any further, after {of_all} in all")
 
 
 def _unsettled(fit: Fit) -> tuple[str, ...]:
@@ -227,7 +239,9 @@ def _run_scores(
     return inliers.reshape(shape), np.sum(score.reshape(shape), axis=1)
 
 
-def _status(fit: Fit, lost: Sequence[str], factors: Sequence[CommonFactor]) -> Status:
+def _status(
+    fit: Fit, lost: Sequence[str], factors: Sequence[CommonFactor], faint: Sequence[str]
+) -> Status:
     outcome, predicted_reduction = fit.outcome, float(fit.outcome.predicted_reduction)
     if not fit.differentiable:
         return Status("diverged", _ROUGH)
@@ -236,9 +250,13 @@ def _status(fit: Fit, lost: Sequence[str], factors: Sequence[CommonFactor]) -> S
         if len(lost) > sum(len(factor.fix) for factor in factors):
             sentences.append(_UNTRACED.format("; ".join(lost)))
         return Status("unidentifiable", ". ".join(sentences))
+    if faint:
+        theta = fit.problem.completed(outcome.unknowns.theta)
+        plant = fit.problem.kernel.plant.with_parameters(theta)
+        near = ", ".join(f"{name} near {plant.parameters[name]:.3g}" for name in faint)
+        return Status("unidentifiable", _FAINT.format(near))
     if predicted_reduction < CONVERGED:
-        of_all = counted(fit.steps, "step")
-        return Status("converged", f"no step lowers the cost any further, after {of_all} in all")
+        return _converged(fit.steps)
     if bool(outcome.exhausted):
         return Status("passes_exhausted", _MORE_STEPS.format(predicted_reduction))
     cause = _KINKS if np.any(fit.problem.kernel.plant.jumps) else _FAR_FROM_LINEAR
@@ -276,6 +294,11 @@ _ROUGH = (
 _UNTRACED = (
     "no trace in the outputs of {}: such a change leaves every free run as it is. Fix one of the "
     "parameters, or excite the plant so that they differ"
+)
+_FAINT = (
+    "next to no trace in the outputs of {}: the fit cannot tell where it belongs. A mode faster "
+    "than the sampling hides what sets it: start from the estimate of `identify`, or from many "
+    "points (`starts = 200`), or fix the parameter"
 )
 _MORE_STEPS = "least squares promises to lower the cost by {:.2g} more: allow more `max_steps`"
 _STALLED = "no step lowers the cost, though least squares promises {:.2g} of it: "

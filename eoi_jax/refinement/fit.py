@@ -74,6 +74,23 @@ class Fit:
         return differentiable_at(self.problem, self.outcome.unknowns, self.sensitivities)
 
 
+def faint_parameters(fit: Fit, share: float = 1e-3) -> tuple[str, ...]:
+    """Parameters that leave next to no trace where a fit ended.
+
+    A change by all of its value, or by that of the start, moves the runs by less than this share of
+    what chance does, as that of a time constant far below the sample period: no step shows where it
+    belongs. A parameter that begins at zero has no such size.
+    """
+    problem, theta = fit.problem, np.asarray(fit.outcome.unknowns.theta)
+    plant, rows = problem.kernel.plant, fit.sensitivities
+    sizes = np.maximum(np.abs(plant.theta[list(problem.free)]), np.abs(theta))
+    power = np.sum(rows[..., -1 - len(theta) :] ** 2, axis=(0, 1, 2))
+    chance = np.sqrt(power[-1] / np.sum(fit.use))
+    traces = sizes * np.sqrt(power[:-1])
+    faint = (traces > 0) & (traces < share * chance)
+    return tuple(plant.names[i] for i, flag in zip(problem.free, faint, strict=True) if flag)
+
+
 def fitted(
     problem: Problem,
     unknowns: Unknowns,

@@ -22,14 +22,12 @@ from eoi_jax._checks import check, check_count, check_positive
 from eoi_jax._process import one_thread
 from eoi_jax._status import Status
 from eoi_jax.data.holds import (
-    chosen_hold,
-    clearly_smaller,
     made_alike,
     skew_text,
     undeclared_hold,
     with_hold,
 )
-from eoi_jax.data.input_holds import Hold, hold_text
+from eoi_jax.data.input_holds import hold_text
 from eoi_jax.data.record import Record
 from eoi_jax.estimation.identify import Identification, identify
 from eoi_jax.estimation.kept_signs import without_runaways
@@ -44,6 +42,7 @@ from eoi_jax.refinement.estimate import (
     notes_on_runs,
     refinement_of,
     unanswered,
+    with_steps,
 )
 from eoi_jax.refinement.first_runs import first_runs, first_settled_runs, stepped
 from eoi_jax.refinement.fit import (
@@ -58,6 +57,7 @@ from eoi_jax.refinement.fit import (
 )
 from eoi_jax.refinement.free_run_sums import signals
 from eoi_jax.refinement.from_passes import refined_from
+from eoi_jax.refinement.holds import compared_holds, is_better
 from eoi_jax.refinement.in_loop import refined_in_loop
 from eoi_jax.refinement.multistart import best, points_of
 from eoi_jax.refinement.problem import (
@@ -69,7 +69,7 @@ from eoi_jax.refinement.problem import (
 )
 from eoi_jax.refinement.result import Refinement
 from eoi_jax.refinement.searches import SEARCH, in_longer_steps, search_around
-from eoi_jax.refinement.skew import SkewedFit, fit_with_skew, mean_error, scored_samples
+from eoi_jax.refinement.skew import fit_with_skew, mean_error
 from eoi_jax.refinement.spans import Span, spans_of, used_window
 from eoi_jax.refinement.start_check import with_start_check
 from eoi_jax.refinement.windowed import lost_growth, settled, worse
@@ -160,7 +160,8 @@ def refine(
             the plant's values. If the solver stalls from there, or has used up its steps and least
             squares promises a hundredth of the cost or more, and errors grow in the runs, it begins
             again: their first eighth is fitted, then a quarter and a half of them. Where it then
-            stalls and least squares still promises so much, four rounds of 64 points around follow.
+            stalls and least squares still promises so much, or a parameter leaves next to no trace
+            there, four rounds of 64 points around follow.
         rounds: how often so many points are followed. From the second time on they are drawn
             around the best one so far: some parameters anew, the others moved a little, each by
             itself or along what the records hardly tell. Where that stands still for five rounds
@@ -317,8 +318,9 @@ def _with_best_hold(
     """The refinement with the hold and skew of the inputs that fit best, where none is declared.
 
     First with the hold that the samples suggest. From that estimate the others are tried; where one
-    fits clearly better, all begins again with it. Then shifts of the inputs are. Also, whether
-    there is an estimate with each hold.
+    fits clearly better, so may the first from there, which had stalled: then all are tried again
+    from its new estimate. Else all begins again with the better one. Then shifts of the inputs are
+    tried. Also, whether there is an estimate with each hold.
     """
     rule = undeclared_hold(records)
     if rule is None:
@@ -332,22 +334,18 @@ def _with_best_hold(
     single = replace(
         question, points=question.points[:0], many_starts=False, rounds=1, is_trial=True
     )
-    first, count = result, scored_samples(result)
-
-    def error(hold: Hold) -> float:
-        if hold == rule:
-            return mean_error(first)
-        refined = _refined(first.plant, with_hold(records, hold), single)
-        if not refined.status.fits:  # the estimate with a wrong hold may be worse than the start
-            refined = _refined(plant, with_hold(records, hold), single)
-        return mean_error(refined) if refined.status.fits else np.inf
-
-    def better(error: float, reference: float) -> bool:
-        return clearly_smaller(error**2, reference**2, count)
-
-    choice = chosen_hold(error, rule, records, better)
+    compared = partial(compared_holds, plant, records, rule, partial(_refined, question=single))
+    choice, fits = compared(result)
     if choice.best != rule:
-        repeated = _refined(plant, with_hold(records, choice.best), question)
+        repeated = _refined(fits[choice.best].plant, with_hold(records, rule), single)
+        if repeated.status.fits and is_better(repeated, result):
+            result = _again(question, plant, result, repeated.plant, question.window or np.inf)
+            compared = partial(
+                compared_holds, plant, records, rule, partial(_refined, question=single)
+            )
+    choice, fits = compared(result)
+    if choice.best != rule:
+        repeated = _from_the_start(plant, fits[choice.best], question)
         if repeated.status.fits:
             result = repeated
         else:
@@ -361,19 +359,19 @@ def _with_best_hold(
         evidence = evidence if skewed.hold == choice.best else (hold,)
         text = skew_text(records[0], skewed.delays)
         evidence += (f"{text}: without this shift the error is {ratio:.3g} times as large",)
-        result = _from_the_start(plant, skewed, question)
+        result = _from_the_start(plant, skewed.fit, question)
     return replace(result, notes=(*result.notes, *evidence)), complete
 
 
-def _from_the_start(plant: Plant, skewed: SkewedFit, question: _Question) -> Refinement:
-    """The fit of shifted inputs from where the first fit began; the one at hand if that is better.
+def _from_the_start(plant: Plant, fit: Refinement, question: _Question) -> Refinement:
+    """The fit of the same records from where the first fit began; `fit` itself if that is better.
 
     Only then it is compared with that start as well.
     """
-    repeated = _refined(plant, skewed.fit.records, question)
-    if repeated.status.fits and not clearly_smaller(skewed.error, mean_error(repeated), np.inf):
+    repeated = _refined(plant, fit.records, question)
+    if repeated.status.fits and not is_better(fit, repeated):
         return repeated
-    return _again(question, plant, skewed.fit, skewed.fit.plant, question.window or np.inf)
+    return _again(question, plant, fit, fit.plant, question.window or np.inf)
 
 
 def _again(
@@ -388,7 +386,7 @@ def _again(
     problem, _, sensitivities = first_runs(nominal, result.records, spans, question.substeps)
     error = unweighed(problem, sensitivities)
     result = compared_with(result, nominal, error, problem.use, spans)
-    return replace(result, steps=first.steps + result.steps)
+    return with_steps(result, first.steps)
 
 
 def _start_kept(

@@ -8,7 +8,15 @@ from jaxtyping import Float
 
 from eoi_jax.data.record import Record
 from eoi_jax.refinement.first_runs import stepped
-from eoi_jax.refinement.fit import Effort, Fit, differentiable_at, fitted, rms, unweighed
+from eoi_jax.refinement.fit import (
+    Effort,
+    Fit,
+    differentiable_at,
+    faint_parameters,
+    fitted,
+    rms,
+    unweighed,
+)
 from eoi_jax.refinement.free_run_sums import signals
 from eoi_jax.refinement.multistart import best, points_of
 from eoi_jax.refinement.problem import Problem, Unknowns
@@ -68,15 +76,16 @@ def search_around(
     """From points around a fit that stalled at a kink, far above what least squares promises.
 
     Where two parameters do nearly the same, least squares trades them for each other far beyond
-    where the runs are straight in them, and what it promises there is not to be had.
+    where the runs are straight in them, and what it promises there is not to be had. Also from
+    around one that ended where a parameter leaves next to no trace.
     """
     outcome, problem = fit.outcome, fit.problem
-    if (
-        float(outcome.predicted_reduction) < SEARCH.max_reduction
-        or float(outcome.cancelling) > SEARCH.max_cancelling
-        or bool(outcome.exhausted)
-        or not fit.differentiable
-    ):
+    stalled = (
+        float(outcome.predicted_reduction) >= SEARCH.max_reduction
+        and float(outcome.cancelling) <= SEARCH.max_cancelling
+        and not bool(outcome.exhausted)
+    )
+    if not fit.differentiable or not (stalled or faint_parameters(fit)):
         return []
     theta = problem.completed(outcome.unknowns.theta)
     centre = problem.kernel.plant.with_parameters(theta)

@@ -245,7 +245,7 @@ def test_only_a_plant_that_jumps_stalls_at_moments_of_rest(monkeypatch, plant, r
 
 def test_a_fit_that_stalls_far_above_what_least_squares_promises_is_looked_for(monkeypatch):
     """All do as long as they are told so: the search begins where the fit has ended."""
-    module, asked = importlib.import_module("eoi_jax.refinement.refine"), []
+    module, asked = importlib.import_module("eoi_jax.refinement.searches"), []
     record, start = run(OSCILLATOR, [0.02, -0.1]), OSCILLATOR.with_parameters({"damping": 0.6})
 
     def best(problem, rough, unknowns, points, rounds):
@@ -253,10 +253,11 @@ def test_a_fit_that_stalls_far_above_what_least_squares_promises_is_looked_for(m
         return [Unknowns(1.01 * unknowns.theta, unknowns.starts)]
 
     monkeypatch.setattr(module, "best", best)
+    monkeypatch.setattr(importlib.import_module("eoi_jax.refinement.refine"), "best", best)
     alone = refine(start, record)
     assert not asked  # it converged
-    settings = module.RefinementSettings(max_reduction=-1.0)
-    monkeypatch.setattr(module, "_SETTINGS", settings)
+    settings = module.SearchSettings(max_reduction=-1.0)
+    monkeypatch.setattr(module, "SEARCH", settings)
     found = refine(start, record)
     ((where, points),) = asked
     np.testing.assert_allclose(where, alone.plant.theta)
@@ -267,6 +268,51 @@ def test_a_fit_that_stalls_far_above_what_least_squares_promises_is_looked_for(m
     assert len(asked) == 1  # time was up before it could stall
     refine(start, record, starts=[start.parameters])
     assert len(asked) == 2  # for the points that were given, and no more
+
+
+def decaying(t, x, u, p):
+    return (u[0] - p.R * x.y[0]) / p.L
+
+
+COIL = eoi.Plant(decaying, {"R": 1.0, "L": 1e-6}, 1, inputs=["v"], outputs=["i"])
+
+
+def switched(hold):
+    """A coil of 1.2 Ω and 0.8 mH behind a staircase of volts, at 20 kHz; noise of 5 mA."""
+    time, draw = np.arange(800) / 20e3, np.random.default_rng(0)
+    volts = np.repeat(draw.uniform(-5.0, 5.0, 20), 40)
+    truth = COIL.with_parameters({"R": 1.2, "L": 0.8e-3})
+    current = eoi.simulate(truth, time, volts, hold="zero", substeps=4).outputs
+    noise = 5e-3 * draw.standard_normal(current.shape)
+    return eoi.Record(
+        time, volts, current + noise, input_names=["v"], output_names=["i"], hold=hold
+    )
+
+
+def test_a_start_far_faster_than_the_sampling_is_left_or_said(monkeypatch):
+    """The mode of 1 µs has died away by the next sample: no step shows where L belongs."""
+    record = switched("zero")
+    result = refine(COIL, record)
+    assert result.status.code == "converged"
+    assert abs(result.parameters["L"] - 0.8e-3) < 4.0 * result.standard_errors["L"] < 1e-5
+    module = importlib.import_module("eoi_jax.refinement.searches")
+    monkeypatch.setattr(module, "best", lambda *_: [])
+    alone = refine(COIL, record)
+    assert alone.status.code == "unidentifiable"
+    assert alone.status.message.startswith("next to no trace in the outputs of L near 1.")
+
+
+def test_the_hold_is_not_decided_by_a_fit_that_stalled(monkeypatch):
+    """With the hold of the staircase the first fit ends where L leaves no trace, others do not."""
+    module = importlib.import_module("eoi_jax.refinement.searches")
+    monkeypatch.setattr(module, "faint_parameters", lambda _: ())
+    result = refine(COIL, switched("auto"))
+    assert result.records[0].hold == "zero"
+    assert abs(result.parameters["L"] - 0.8e-3) < 4.0 * result.standard_errors["L"] < 1e-5
+    (note,) = (note for note in result.notes if note.startswith("hold zero"))
+    assert float(note.split("the error is ")[1].split()[0]) > 3.0  # times as large with linear
+    assert result.cost_before > result.cost
+    assert f"after {result.steps} steps" in result.status.message
 
 
 def turning(t, x, u, p):
