@@ -24,7 +24,6 @@ from dataclasses import dataclass, replace
 from eoi_jax._checks import check, check_count, real
 from eoi_jax._process import memory_returned, one_thread
 from eoi_jax.data.clipping import clipped_notes
-from eoi_jax.data.holds import with_hold
 from eoi_jax.data.record import Record
 from eoi_jax.data.record_notes import record_notes
 from eoi_jax.data.resampling import Real
@@ -50,7 +49,7 @@ from eoi_jax.discovery.in_injection import (
 from eoi_jax.discovery.own_judge import needs_judge, with_own_judge, with_share
 from eoi_jax.discovery.refined import refined_answer, with_hint, without_bias
 from eoi_jax.discovery.remainder import (
-    follows_time,
+    changes_in_time,
     partial_where_more_is_left,
     with_differences,
     with_doubts,
@@ -264,15 +263,15 @@ class _Search:
         """An answer with a parameter that changes with time; None where there is none.
 
         What wears, fouls or warms up changes a parameter. It is tried where the residual of the
-        injection, which no effect explains, depends on time most; held-out records must confirm it.
+        injection, which no effect explains, depends on time most, or is mostly that of parameters
+        which change with time; held-out records must confirm it. The hold of the inputs is chosen
+        with it: under the wrong one of the answer at hand it explains less.
         """
-        if self.named or not (held_out and follows_time(discovery)):
+        if self.named or not (held_out and changes_in_time(discovery)):
             return None
-        settled = discovery.held_out[0]
-        made = (with_hold(group, settled.hold, settled.skew) for group in (records, held_out))
         laws = (law for law in parameter_dependences(self.plant, records) if not law.signals)
         search = replace(self, effects=tuple(laws), rare=(), named=True)
-        answer = search.answered(*made)
+        answer = search.discovered(records, held_out)
         return answer if answer.added and answer.status.code in ("complete", "partial") else None
 
     def _with_curves(self, discovery: Discovery, records: tuple[Record, ...]) -> Discovery:

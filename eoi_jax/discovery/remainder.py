@@ -16,6 +16,7 @@ from eoi_jax.data.record import Record
 from eoi_jax.data.windows import window_length
 from eoi_jax.discovery.confirm import beyond_noise
 from eoi_jax.discovery.diagnose import diagnose
+from eoi_jax.discovery.drift import drift_of_parameters
 from eoi_jax.discovery.judge import error_ratio
 from eoi_jax.discovery.own_offsets import OwnOffsets, with_own_offsets
 from eoi_jax.discovery.remarks import FitNote, is_on_fit
@@ -73,13 +74,18 @@ def partial_where_more_is_left(discovery: Discovery) -> Discovery:
     return replace(discovery, status=Status("partial", f"{status.message}; {left}"))
 
 
-def follows_time(discovery: Discovery) -> bool:
-    """Whether a residual that no effect explains depends on time more than on any signal."""
+def changes_in_time(discovery: Discovery) -> bool:
+    """Whether a residual that no effect explains depends on time more than on any signal.
+
+    Or half of it is that of parameters which change with time, more than any map shows.
+    """
     if discovery.status.code != "unexplained" or discovery.diagnosis is None:
         return False
-    return any(
-        item is not None and item.variable == "time" for item in discovery.diagnosis.strongest
-    )
+    maps = [item for item in discovery.diagnosis.strongest if item is not None]
+    if any(item.variable == "time" for item in maps):
+        return True
+    least = max([RULES.answer.half, *(item.explained for item in maps)])
+    return drift_of_parameters(discovery.found, discovery.diagnosis.level) > least
 
 
 def with_differences(discovery: Discovery, records: Sequence[Record]) -> Discovery:

@@ -5,6 +5,7 @@ import numpy as np
 import pytest
 
 import eoi_jax as eoi
+from eoi_jax.discovery.drift import drift_of_parameters
 from eoi_jax.discovery.own_judge import with_share
 
 RATE, NOISE = 60.0, 4e-4
@@ -129,3 +130,36 @@ def test_a_gain_that_falls_with_time_is_found_where_the_residual_follows_time():
     found = eoi.discover(plant, run(1), run(2))
     assert found.effects == ("parameter_dependence",)
     assert found.added[0].parameters["parameter_dependence_gain_time"] < 0.0
+
+
+def heating(seed: int, rise: float) -> eoi.Record:
+    """A coil whose resistance rises by that share a second, behind volts without a mean."""
+    rng, period, count = np.random.default_rng(seed), 1.0 / 20e3, 3000
+    volts = rng.uniform(-10.0, 10.0, count // 40).repeat(40)
+    time, current, inductance = period * np.arange(count), np.zeros(count), 0.8e-3
+    for k in range(count - 1):
+        resistance = 1.2 * (1.0 + rise * (time[k] + 0.5 * period))
+        level = volts[k] / resistance
+        current[k + 1] = level + (current[k] - level) * np.exp(-period * resistance / inductance)
+    noisy = current + 5e-3 * rng.standard_normal(count)
+    return eoi.Record(time, volts, noisy, hold="zero", input_names=("v",), output_names=("i",))
+
+
+COIL = eoi.Plant(
+    lambda t, x, u, p: (u[0] - p.R * x.y[0]) / p.L, {"R": 1.0, "L": 1e-3}, 1, ("v",), ("i",)
+)
+
+
+def test_a_resistance_that_rises_with_time_is_found_though_the_residual_has_no_mean():
+    answer = eoi.discover(COIL, heating(1, 1.5), heating(2, 1.5))
+    assert (answer.status.code, answer.effects) == ("complete", ("parameter_dependence",))
+    name = "parameter_dependence_R_time"
+    slope, middle = 1.5, 0.5 * 2999 / 20e3  # R (1 + a (t - middle)) = R_0 (1 + slope t)
+    assert answer.plant.parameters[name] == pytest.approx(slope / (1.0 + slope * middle), rel=0.01)
+
+
+def test_a_coil_of_constant_resistance_has_no_drift():
+    """Of twenty, at a level of one hundredth each; one that rises takes all of the residual."""
+    shares = [drift_of_parameters(eoi.identify(COIL, heating(s, 0.0)), 0.01) for s in range(20)]
+    assert sum(share > 0.0 for share in shares) <= 1
+    assert drift_of_parameters(eoi.identify(COIL, heating(0, 1.5)), 0.01) > 0.99
