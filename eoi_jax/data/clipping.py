@@ -9,6 +9,8 @@ from jaxtyping import Float
 from eoi_jax._checks import percent
 from eoi_jax.data.record import Record
 
+AT_END = "an end of its range"  # what a note says of an output that stays there
+
 
 @dataclass(frozen=True)
 class ClippingSettings:
@@ -76,7 +78,7 @@ def clipped_notes(records: Sequence[Record]) -> list[str]:
         if not any(_share_at_ends(channel) >= _SETTINGS.told for channel in values):
             continue
         notes += [
-            f"{end.record}: {end.channel} stays at {end.level:.4g}, an end of its range, in "
+            f"{end.record}: {end.channel} stays at {end.level:.4g}, {AT_END}, in "
             f"{percent(end.share)} of its samples: if its sensor ends there, leave these empty"
             for end in saturations(record)
             if end.channel in record.output_names and end.share >= _SETTINGS.told

@@ -204,7 +204,7 @@ def saturation(diagnosis: Diagnosis) -> Iterator[str]:
         unit = with_space(diagnosis.units.get(limit.channel, ""))
         yield (
             f"{limit.channel} of {limit.record} saturates: it stops at {limit.level:.6g}{unit}, "
-            f"where {limit.share:.2g} of its samples lie. "
+            f"where {percent(limit.share)} of its samples lie. "
             + (_INPUT_AT_LIMIT if limit.channel in diagnosis.inputs else _OUTPUT_AT_LIMIT)
         )
 

@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 
+from eoi_jax.data.clipping import AT_END
 from eoi_jax.discovery.confirm import drifts, only_short
 from eoi_jax.discovery.result import Added, Discovery, PartialExplanation, Texts
 from eoi_jax.models.effects import (
@@ -18,11 +19,13 @@ from eoi_jax.models.effects import (
 from eoi_jax.models.effects.effect import labelled
 from eoi_jax.models.equations.display import equation_text
 from eoi_jax.models.input_strength import InputStrength, strengths_of
+from eoi_jax.report.diagnosis import saturation
 from eoi_jax.report.tables import columns, parameter_table, quantity, with_error
 from eoi_jax.simulation.validate import Validation
 from eoi_jax.uncertainty.uncertainty import freedom_notes, uncertainty
 
 _FORCES = ("N", "N m", "Nm", "N·m")
+_CLIPPED = f"First look at the notes: an output stays at {AT_END}, which may be all there is."
 _DRIFT = " (over {} the free run drifts)"
 
 
@@ -57,10 +60,15 @@ def discovery_text(discovery: Discovery) -> str:
 
 
 def _findings(discovery: Discovery) -> str:
-    """Findings about the residual where no effect explains it."""
-    if discovery.diagnosis is None:
+    """Findings about the residual where no effect explains it, without what notes say anyway."""
+    diagnosis = discovery.diagnosis
+    if diagnosis is None:
         return ""
-    findings = [f"- {finding}" for finding in discovery.diagnosis.findings]
+    notes = [note for note in discovery.notes if AT_END in note]
+    ends = [end for end in diagnosis.saturation
+            if any(note.startswith(f"{end.record}: {end.channel} ") for note in notes)]  # fmt: skip
+    repeated = [*saturation(replace(diagnosis, saturation=tuple(ends)))]
+    findings = [f"- {finding}" for finding in diagnosis.findings if finding not in repeated]
     return "\n".join(["The residual of the declared model:", *findings])
 
 
@@ -102,7 +110,9 @@ def _lacking(discovery: Discovery) -> str:
         start = f"The model {lacking}"
     else:
         return f"No answer: {discovery.status}"
-    return f"{start}: {_free_run_errors(discovery)}."
+    errors = f"{start}: {_free_run_errors(discovery)}."
+    is_clipped = code != "nothing_missing" and any(AT_END in note for note in discovery.notes)
+    return f"{errors} {_CLIPPED}" if is_clipped else errors
 
 
 def lead(discovery: Discovery) -> str:

@@ -25,6 +25,19 @@ def test_a_clipped_output_is_mentioned_by_the_fit():
     share = float(note.split(" in ")[1].split(" %")[0])
     assert share == pytest.approx(100 * np.mean(_record(4.0).outputs == 4.0), rel=0.05)
     assert "leave these empty" in note
+    assert note in eoi.refine(plant, _record(4.0)).notes
+
+
+def test_a_discovery_says_it_once_and_points_to_it_first():
+    """Damping that is not there takes less than half of what the ends of the sensor leave."""
+    plant = eoi.Plant(lambda t, x, u, p: (p.K * u - x.y[0]) / p.T, {"K": 2.0, "T": 1.5})
+    found = eoi.discover(plant, _record(4.0), validation=0.3, effects=["constant_offset"])
+    lines = str(found).splitlines()
+    assert lines[0].endswith("First look at the notes: an output stays at an end of its range, "
+                             "which may be all there is.")  # fmt: skip
+    assert found.diagnosis is not None
+    assert any("saturates" in finding for finding in found.diagnosis.findings)
+    assert not any("saturates" in line for line in lines)
 
 
 def test_an_output_that_turns_or_rests_is_not():
