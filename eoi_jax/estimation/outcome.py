@@ -4,6 +4,7 @@ from collections.abc import Sequence
 
 import jax
 import numpy as np
+from jaxtyping import Float
 
 from eoi_jax._status import Status
 from eoi_jax.data.masks import constant
@@ -45,13 +46,23 @@ def outcome(
         return Status(code, ". ".join(sentences))
     if passes == 1:
         return Status(code, "one pass only: the nominal values were scored")
+    still_falling = _CYCLING if _rises_again(history.index[0, :passes]) else _STILL_FALLING
     messages = {
-        "passes_exhausted": _STILL_FALLING.format(best_pass),
+        "passes_exhausted": still_falling.format(best_pass),
         "converged": f"the index is smallest in pass {best_pass} of {passes}",
         "stalled": _STALLED.format(best_pass, float(history.best.predicted_reduction[0]))
         + (_POOR_OBSERVER if plant.is_affine else _NONLINEAR),
     }
     return Status(code, messages[code])
+
+
+def _rises_again(
+    index: Float[np.ndarray, "passes ny"], rises: int = 3, share: float = 0.25
+) -> bool:
+    """Whether the index rises again and again: as often, and in that share of the passes."""
+    with np.errstate(divide="ignore"):
+        changes = np.diff(np.sum(np.log(index), axis=1))
+    return bool(np.sum(changes > 0.0) >= max(rises, share * len(changes)))
 
 
 _CONSTANT_OUTPUTS = (
@@ -63,6 +74,12 @@ _NO_DATA = (
     "stands still throughout. Use a longer record, a shorter `transient`, or more excitation"
 )
 _STILL_FALLING = "the index is smallest in pass {} and was still to fall: allow more passes"
+_CYCLING = (
+    "the index rises and falls from pass to pass, smallest in pass {}: more passes hardly help. "
+    "The records tell too little of a parameter, or the outputs draw the passes to different "
+    "values in turn. Use `refine`, whose standard errors say which parameter stays open, and "
+    "excite that"
+)
 _STALLED = (
     "the index is smallest in pass {}, though least squares promises to lower it by {:.0%} more: "
 )

@@ -157,7 +157,11 @@ def identification_contents(result: Identification, extra: Mapping[str, Any]) ->
         )
     ratio = f"injection over {highest_derivative(result.plant)}"
     tiles = [
-        Tile(f"Unexplained in {name}", percent(share), ratio)
+        Tile(
+            f"Unexplained in {name}",
+            percent(share) if share <= 1.0 else f"{share:.3g} times all",
+            ratio,
+        )
         for name, share in zip(result.plant.outputs, result.unexplained, strict=True)
     ]
     tiles = [*_fits(validation), *tiles][: 2 * _MAX_OUTPUTS]

@@ -123,11 +123,13 @@ def identification_answer(result: Identification, validation: Validation | None 
     count = sum(name not in result.plant.fixed for name in result.parameters)
     samples = timed(sum(map(len, result.records)), _mean_period(result.records))
     parameters = counted(count, "parameter")
-    share = float(np.max(result.unexplained))
+    share, derivative = float(np.max(result.unexplained)), highest_derivative(result.plant)
+    remaining = f"{percent(share)} of the {derivative} remains unexplained"
+    if share > 1.0:
+        remaining = f"what remains is {share:.3g} times the {derivative}: worse than no model"
     sentence = (
         f"{parameters} of {result.plant.name} identified from {samples} in pass "
-        f"{result.best_pass + 1} of {len(result.index)}; {percent(share)} of the "
-        f"{highest_derivative(result.plant)} remains unexplained"
+        f"{result.best_pass + 1} of {len(result.index)}; {remaining}"
     )
     if validation is None or not np.all(np.isfinite(validation.rmse)):
         return f"{sentence}."
@@ -206,12 +208,16 @@ def index_table(result: Identification) -> str:
 
 
 def health_table(result: Identification) -> str:
-    """Share of steps in sliding mode, and of the injection that remains over y^(r) [%]."""
+    """Share of steps in sliding mode, and of the injection that remains over y^(r).
+
+    Where that is more than all of it the equation says less than none would.
+    """
     rows = [("output", "in sliding mode", "unexplained")]
     for name, sliding, share in zip(
         result.plant.outputs, result.sliding_fraction, result.unexplained, strict=True
     ):
-        rows.append((name, f"{100 * sliding:.4g} %", percent(share)))
+        text = percent(share) if share <= 1.0 else f"{share:.3g} times all, worse than no model"
+        rows.append((name, f"{100 * sliding:.4g} %", text))
     return columns(rows, "<>>")
 
 

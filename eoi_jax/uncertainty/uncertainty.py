@@ -239,13 +239,18 @@ def freedom_notes(estimate: Identification | Refinement) -> tuple[str, ...]:
     ends = [np.min(freedom[scarce]), np.max(freedom[scarce])]
     numbers = list(dict.fromkeys(f"{end:.2g}" for end in ends))
     reach = list(dict.fromkeys(f"{size:.2g}" for size in student(0.95, np.asarray(ends))[::-1]))
-    return (_FEW.format(listed(names), " to ".join(numbers), " to ".join(reach)),)
+    note = _FEW.format(listed(names), " to ".join(numbers), " to ".join(reach))
+    values = np.asarray(list(estimate.parameters.values()))
+    is_open = scarce & (np.abs(values) < student(0.95, freedom) * errors)
+    pairs = zip(estimate.standard_errors, is_open, strict=True)
+    open_names = [name for name, flag in pairs if flag]
+    return (f"{note}; that of {listed(open_names)} holds zero" if open_names else note,)
 
 
 FEW = 5.0  # degrees of freedom, at which a 95 % interval reaches 2.6 standard errors in place of 2
 _FEW = (
     "the ± of {} rests on {} degrees of freedom: the 95 % interval reaches {} times as far to each "
-    "side (`uncertainty`), as the residual is hardly faster than the record is long"
+    "side (`uncertainty`), as few independent parts of the records tell of it"
 )
 
 

@@ -727,3 +727,26 @@ def test_a_long_record_is_not_kept_until_somebody_asks(monkeypatch):
     prepared = prepare_records(NOMINAL, (swaying(noise=1e-3),), LOWPASS, substeps=2)
     estimate(NOMINAL, prepared, OBSERVER, settings=SignalSettings(max_deferred=100))
     assert len(calls) == 1
+
+
+def test_passes_that_go_in_a_circle_are_not_told_to_go_on():
+    """A synchronous machine at a constant current of its q axis: its d axis tells nothing of Ld."""
+
+    def machine(t, x, u, p):
+        ((d, q),) = x.y
+        lost = p.R * x.y[0]
+        return jnp.stack([(u[0] - lost[0] + u[2] * p.Lq * q) / p.Ld,
+                          (u[1] - lost[1] - u[2] * (p.Ld * d + p.psi)) / p.Lq])  # fmt: skip
+
+    draw = np.random.default_rng(0)
+    speed = np.repeat(draw.uniform(100.0, 400.0, 6), 500)
+    volts = np.column_stack([-speed * 4.5e-3 * 3.0, speed * 0.08 + 0.5 * 3.0, speed])
+    start = {"R": 0.4, "Ld": 2.5e-3, "Lq": 4e-3, "psi": 0.07}
+    plant = Plant(machine, start, (1, 1), inputs=("vd", "vq", "we"), outputs=("id", "iq"))
+    currents = np.array([0.0, 3.0]) + 0.02 * draw.standard_normal((3000, 2))
+    record = Record(1e-4 * np.arange(3000), volts, currents, hold="zero",
+                        input_names=plant.inputs, output_names=plant.outputs)  # fmt: skip
+    found = identify(plant, record, passes=10)
+    assert found.status.code == "passes_exhausted"
+    assert "rises and falls from pass to pass" in found.status.message
+    assert "Use `refine`" in found.status.message

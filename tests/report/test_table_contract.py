@@ -149,6 +149,11 @@ def test_answer_of_an_identification_names_its_best_pass(identified):
         "2 parameters of two tanks identified from 1500 samples (30 s) in pass 3 of 5; 12 % of the "
         "highest derivative remains unexplained."
     )
+    worse = replace(identified, unexplained=np.array([768.8, 0.5]))
+    assert tables.identification_answer(worse).endswith(
+        "; what remains is 769 times the highest derivative: worse than no model."
+    )
+    assert "769 times all, worse than no model" in tables.health_table(worse)
     held = replace(fake_validation(identified), fit=np.array([91.2, 88.76]))
     assert tables.identification_answer(identified, held).endswith(
         ", and the free-run fit to held-out data is 88.76 %."

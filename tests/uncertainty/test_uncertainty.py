@@ -212,6 +212,10 @@ def test_errors_of_few_degrees_of_freedom_say_how_far_their_intervals_reach():
     )
     assert "reaches 4.3 to 13 times as far to each side" in note
     assert f"- {note}" in str(few)
+    assert "holds zero" not in note
+    vague = {**errors, last: abs(few.parameters[last]) / 4.0}  # 4 standard errors are 0.9 of 4.3
+    (note,) = freedom_notes(replace(few, standard_errors=vague))
+    assert note.endswith(f"; that of {last} holds zero")
     assert freedom_notes(refined()) == ()
     open_ones = {**errors, first: np.inf, last: 0.0}
     assert freedom_notes(replace(few, standard_errors=open_ones)) == ()
