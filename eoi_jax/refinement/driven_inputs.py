@@ -143,9 +143,11 @@ def _difference(
 ) -> np.ndarray:
     """Derivative with a time [s], by a difference of `step` times the steps of the simulation.
 
-    Central, but from zero on forward: there is no negative time.
+    Central, but from zero on forward: there is no negative time. Of a time far longer than those
+    steps it is a larger one, beside which rounding is small.
     """
-    change = step * min(float(part.step) for part in record_drives)
+    shortest = np.sqrt(np.finfo(float).eps) * abs(value)
+    change = max(step * min(float(part.step) for part in record_drives), shortest)
     below = max(value - change, 0.0) if value >= 0.0 else value - change
     return (function(value + change) - function(below)) / (value + change - below)
 

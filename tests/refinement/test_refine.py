@@ -143,6 +143,12 @@ def test_derivatives_are_finite_differences(plant, moved):
         assert np.linalg.norm(slope - column) <= 1e-5 * np.linalg.norm(column), j
 
 
+def test_a_lag_of_days_has_a_derivative_too():
+    """Of a trial far out: a step of the difference by that of the simulation is its rounding."""
+    problem, unknowns = prepared(LAGGED.with_parameters({"actuator_lag": 1e9}), twice(MASS), 5.0)
+    assert np.all(np.isfinite(signals(unknowns, problem)))
+
+
 @pytest.mark.parametrize(
     "plant", [RUBBING, LAGGED, OWN_LAG], ids=["machine code", "machine code behind a lag", "scan"]
 )
