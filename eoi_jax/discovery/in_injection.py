@@ -410,12 +410,28 @@ def _bound_and_grid_notes(
             continue
         names = placed.names[len(placed.effect.gains) :]
         for name, low, high in zip(names, spans[placed].low, spans[placed].high, strict=True):
-            value, close = fit.parameters[name], _RULES.end * (high - low)
-            if value <= low + close:
-                notes.append(GridNote(_AT_GRID_END.format(name, value, "smaller")))
-            if value >= high - close:
-                notes.append(GridNote(_AT_GRID_END.format(name, value, "larger")))
+            value = fit.parameters[name]
+            side = beyond_grid(value, fit.standard_errors[name], float(low), float(high))
+            notes += [GridNote(_AT_GRID_END.format(name, value, side))] if side else []
     return notes
+
+
+def beyond_grid(value: float, error: float, low: float, high: float) -> str:
+    """Whether ``"smaller"`` or ``"larger"`` shapes than were searched may do as well; or ``""``.
+
+    The fit is not held to the grid: one that tells the shape from the end, by two standard errors,
+    has found its best value.
+
+    Args:
+        value: of the shape.
+        error: its standard error; infinite or NaN where there is none.
+        low: the smaller end of the grid.
+        high: the larger one.
+    """
+    close = min(_RULES.end * (high - low), 2.0 * error)
+    if value <= low + close:
+        return "smaller"
+    return "larger" if value >= high - close else ""
 
 
 def failed(

@@ -14,6 +14,7 @@ from eoi_jax._status import Status
 from eoi_jax.data.holds import with_hold
 from eoi_jax.discovery.cosine_modes import modal_record, model_rows
 from eoi_jax.discovery.hold_choice import _stand_ins, with_held_inputs
+from eoi_jax.discovery.in_injection import beyond_grid
 from eoi_jax.discovery.lags import lags
 from eoi_jax.discovery.noise_spectrum import fitted_power, local_power
 from eoi_jax.discovery.result import Added
@@ -202,3 +203,13 @@ def test_holds_are_compared_after_as_many_passes():
     found = eoi.discover(ship, steered(1), validation=steered(2))
     assert set(found.effects) == {"cubic_damping", "constant_offset"}
     assert found.held_out[0].hold == "zero"
+
+
+def test_a_delay_that_its_standard_error_tells_from_the_end_of_the_grid_is_not_at_it():
+    """A sample of 0.1 ms, in a grid from 0.044 to 120.6 ms."""
+    grid = 4.44e-5, 0.1206
+    assert beyond_grid(1.001e-4, 1.7e-6, *grid) == ""
+    assert beyond_grid(1.001e-4, 5e-5, *grid) == "smaller"
+    assert beyond_grid(1.001e-4, np.inf, *grid) == beyond_grid(1.001e-4, np.nan, *grid) == "smaller"
+    assert beyond_grid(grid[0], 1e-9, *grid) == "smaller"
+    assert beyond_grid(grid[1], 1e-9, *grid) == "larger"
