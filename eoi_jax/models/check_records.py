@@ -123,11 +123,11 @@ def _check_unit(field: str, record: Record, label: str, expected: str | None, na
     advice = "Convert the column, or correct the unit."
     check(unit is None or same_unit(unit, expected), field, rule, repr(unit), advice)
     advice = (
-        "Convert the column by `scale`, or name the right one; or give its unit by `units`, if "
+        "Convert the column by `scale`, or name the right one; or give its unit by `units`, if it "
+        "is not that of the file."
     )
     value = f"{header!r} in its file"
-    agree = units_agree(header, expected)
-    check(agree is not False, field, rule, value, f"{advice}if it is not that of the file.")
+    check(units_agree(header, expected) is not False, field, rule, value, advice)
 
 
 def _extra_inputs(names: Sequence[str], labels: Sequence[str]) -> str:

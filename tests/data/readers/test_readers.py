@@ -410,7 +410,9 @@ def test_the_unit_in_a_file_is_checked_where_the_caller_gives_none(tmp_path, hea
     assert unit_notes(plant, [record]) == []
     table = path.read_text()
     path.write_text(table.replace("mm", "bar"))
-    with pytest.raises(ValueError, match=r"for `h`, 'cm', got 'bar' in its file.*the right one"):
+    with pytest.raises(
+        ValueError, match=r"'cm', got 'bar' in its file.*`units`, if it is not that"
+    ):
         check_records(plant, read_record(path, *(name.replace("mm", "bar") for name in names)))
     path.write_text(table.replace("mm", "raw"))
     names = [name.replace("mm", "raw") for name in names]
