@@ -64,6 +64,7 @@ from eoi_jax.estimation.defaults import short_record_notes, too_short
 from eoi_jax.estimation.hold import hold_indices
 from eoi_jax.estimation.holdout import check_runs, held_out_records
 from eoi_jax.estimation.identify import declared_index, estimate
+from eoi_jax.estimation.kept_signs import reversed_notes
 from eoi_jax.estimation.lowpass import LowPass
 from eoi_jax.estimation.preparation import PreparedRecords, prepare_records
 from eoi_jax.models.check_records import check_records, unit_notes
@@ -172,6 +173,8 @@ def discover(
         [] if effects is None else notes_without_place(tried_effects, fitting, discovery)
     )
     measured = *record_notes((*read, *unseen)), *clipped_notes(read), *unit_notes(plant, read)
+    if discovery.found.status.fits:
+        measured = *reversed_notes(plant, discovery.found), *measured
     notes = *fit_notes(plant, discovery.added, discovery.found), *unplaced_notes, *runs, *measured
     discovery = replace(discovery, notes=(*discovery.notes, *notes))
     return with_test_errors(discovery, unseen, fit_records, window) if unseen else discovery

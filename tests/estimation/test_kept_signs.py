@@ -37,6 +37,16 @@ def test_a_divisor_without_bounds_gets_to_the_other_sign(verb, start, record):
     assert fit.status.code == "converged"
     for name, true in (("kV", GAIN), ("kA", LAG)):
         assert abs(fit.parameters[name] - true) < 4.0 * fit.standard_errors[name] + 1e-3 * abs(true)
+    (note,) = [note for note in fit.notes if "counted in the other direction" in note]
+    assert note.startswith("all parameters (kV, kA)")
+    assert note.endswith("check the signs of u, y")
+    right = verb(motor(start=start), measured(2.4, 0.5, 0.0, 60))
+    assert not any("other direction" in note for note in right.notes)
+
+
+def test_a_discovery_says_that_all_signs_are_reversed(record):
+    found = eoi.discover(motor(), record, validation=0.3, effects=["constant_offset"])
+    assert sum("counted in the other direction" in note for note in found.notes) == 1
 
 
 @pytest.mark.parametrize(("gain", "lag"), [(2.4, 20.0), (-2.4, -5.0), (2.4, 0.5)])
