@@ -10,6 +10,7 @@ from eoi_jax.discovery.regression import Base, fitted, within_bounds
 from eoi_jax.discovery.round import RoundResult
 from eoi_jax.discovery.round_start import RoundStart
 from eoi_jax.discovery.rules import RULES
+from eoi_jax.models.algebraic_outputs import highest_derivative
 from eoi_jax.models.augmented import Placed
 
 _RULES = RULES.answer
@@ -67,6 +68,7 @@ def remaining_power(rounds: Sequence[RoundResult], share: float, noise_like: boo
         rounds: of the search.
         share: that is explained.
         noise_like: whether the remaining residual is noise.
+        degrees: relative degree of each output.
     """
     first, last = rounds[0], rounds[-1]
     noise = _noise_scale(last.base, _final_residual(last)) * first.base.noise_power
@@ -117,6 +119,7 @@ def judged(
     share: float,
     relative_residual: float,
     noise_like: bool,
+    degrees: Sequence[int],
     unrivalled: bool = False,
     tried: bool = True,
 ) -> Status:
@@ -127,13 +130,14 @@ def judged(
         share: share of the residual's power that the set explains.
         relative_residual: rms of the remaining residual over that of y^(r).
         noise_like: whether the remaining residual is noise.
+        degrees: relative degree of each output.
         unrivalled: whether half can be enough: no other effect explains nearly as much, and free
             runs on held-out data decide.
         tried: whether any effect was tried, or will be in free runs.
     """
     is_negligible, description = (
         noise_like or relative_residual <= _RULES.negligible,
-        _residual_text(relative_residual),
+        _residual_text(relative_residual, degrees),
     )
     if not placed:
         if is_negligible:
@@ -141,19 +145,20 @@ def judged(
         reason = _NO_EFFECT if tried else _UNTRIED
         return Status("unexplained", reason.format(description))
     if share >= _RULES.explained or is_negligible:
-        return answered(share, relative_residual)
+        return answered(share, relative_residual, degrees)
     if unrivalled and share >= _RULES.half:
         return Status("complete", _EXPLAINED_TEXT.format(share, description) + _REST_UNEXPLAINED)
     return Status("unexplained", _PARTLY.format(labels_of(placed), share, description))
 
 
-def answered(share: float, relative_residual: float) -> Status:
+def answered(share: float, relative_residual: float, degrees: Sequence[int]) -> Status:
     """The status of a set that is the answer, whatever its share."""
-    return Status("complete", _EXPLAINED_TEXT.format(share, _residual_text(relative_residual)))
+    remaining = _residual_text(relative_residual, degrees)
+    return Status("complete", _EXPLAINED_TEXT.format(share, remaining))
 
 
-def _residual_text(relative_residual: float) -> str:
-    share = f"{relative_residual:.2g} of the highest derivative (rms)"
+def _residual_text(relative_residual: float, degrees: Sequence[int]) -> str:
+    share = f"{relative_residual:.2g} of the {highest_derivative(degrees)} (rms)"
     return share if relative_residual > 0.0 else "nothing beyond the noise"
 
 

@@ -244,9 +244,10 @@ def _chosen(
 ) -> _Chosen:
     """The last step of the search that free runs on held-out records do not refuse."""
     first, notes, refused = rounds[0], [], dict(rounds[0].decision.refused)
+    degrees = task.plant.degrees
     share, residual_ratio, quiet = explained(rounds)
     tried, placed = bool(first.candidates or task.held_out), steps[-1].placed if steps else ()
-    status, denied_set = judged(placed, share, residual_ratio, quiet, tried=tried), ()
+    status, denied_set = judged(placed, share, residual_ratio, quiet, degrees, tried=tried), ()
     if status.code == "unexplained" and (denial := denied(first)) is not None:
         denied_set, status = denial
     unrivalled_effect = bool(task.held_out) and unrivalled(first)
@@ -254,7 +255,7 @@ def _chosen(
         share, residual_ratio, quiet = explained(
             rounds if placed is steps[-1].placed else step_rounds
         )
-        verdict = judged(placed, share, residual_ratio, quiet, unrivalled_effect)
+        verdict = judged(placed, share, residual_ratio, quiet, degrees, unrivalled_effect)
         if verdict.code != "complete":
             break
         refusal = not_simulated(model)
@@ -273,7 +274,8 @@ def _chosen(
             notes.append(_UNSIZED.format(labels_of(placed), share, labels_of(unsized)))
             status = Status("unexplained", _NO_SIZE)
             continue
-        if judged(placed, share, residual_ratio, quiet) != verdict and not confirmed(prior, runs):
+        strict = judged(placed, share, residual_ratio, quiet, degrees)
+        if strict != verdict and not confirmed(prior, runs):
             break
         if holds(prior, runs):
             runs = plain_runs
@@ -357,7 +359,7 @@ def _share_of_simpler(
 ) -> tuple[float, Status]:
     """Share of the residual that a simpler set explains, and the status of that answer."""
     share, relative_residual, _ = explained(rounds, RoundStart(task, simple_fit.plant, placed))
-    return share, answered(share, relative_residual)
+    return share, answered(share, relative_residual, task.plant.degrees)
 
 
 _NO_SAMPLE = (

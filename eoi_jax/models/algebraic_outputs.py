@@ -21,6 +21,11 @@ def apart(values: Any) -> Any:
     return values + 0.1 * np.sqrt(1.0 + np.arange(values.shape[-1]))
 
 
+def highest_derivative(degrees: Sequence[int]) -> str:
+    """What y^(r) is called: the output itself where all relative degrees are zero."""
+    return "highest derivative" if any(degrees) else "output"
+
+
 def check_algebraic(
     outputs: Sequence[str], algebraic: Bool[np.ndarray, " ny"], model: Model, points: Points
 ) -> None:

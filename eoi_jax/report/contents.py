@@ -11,6 +11,7 @@ from eoi_jax._checks import percent
 from eoi_jax.discovery.diagnosis import Diagnosis
 from eoi_jax.discovery.result import Discovery
 from eoi_jax.estimation.identify import Identification
+from eoi_jax.models.algebraic_outputs import highest_derivative
 from eoi_jax.refinement.result import Refinement
 from eoi_jax.report import diagnosis as diagnoses
 from eoi_jax.report import discovery, discovery_figures, estimate_figures, figures
@@ -19,7 +20,6 @@ from eoi_jax.report.health import Check, health
 from eoi_jax.report.parameter_history import CONSTANT, LAYOUT, history_series
 from eoi_jax.report.residual_correlation import residual_correlation_figure
 from eoi_jax.report.tables import (
-    highest_derivative,
     parameter_rows,
     quantity,
     refined_rows,
@@ -155,7 +155,7 @@ def identification_contents(result: Identification, extra: Mapping[str, Any]) ->
         tables.append(
             _table("Free run on held-out records", validation_rows(validation), (1, 2, 3))
         )
-    ratio = f"injection over {highest_derivative(result.plant)}"
+    ratio = f"injection over {highest_derivative(result.plant.degrees)}"
     tiles = [
         Tile(
             f"Unexplained in {name}",

@@ -8,7 +8,7 @@ import numpy as np
 from eoi_jax._checks import counted, percent, timed
 from eoi_jax.data.record import Record
 from eoi_jax.estimation.identify import Identification
-from eoi_jax.models.plant import Plant
+from eoi_jax.models.algebraic_outputs import highest_derivative
 from eoi_jax.refinement.result import Refinement
 from eoi_jax.simulation.validate import Validation
 from eoi_jax.uncertainty.profile_likelihood import Profile
@@ -106,11 +106,6 @@ def _mean_period(records: Sequence[Record]) -> float:
                             weights=[len(record) for record in records]))  # fmt: skip
 
 
-def highest_derivative(plant: Plant) -> str:
-    """What y^(r) is called: the output itself where all relative degrees are zero."""
-    return "highest derivative" if any(plant.degrees) else "output"
-
-
 def identification_answer(result: Identification, validation: Validation | None = None) -> str:
     """The outcome of an identification in one sentence.
 
@@ -123,7 +118,7 @@ def identification_answer(result: Identification, validation: Validation | None 
     count = sum(name not in result.plant.fixed for name in result.parameters)
     samples = timed(sum(map(len, result.records)), _mean_period(result.records))
     parameters = counted(count, "parameter")
-    share, derivative = float(np.max(result.unexplained)), highest_derivative(result.plant)
+    share, derivative = float(np.max(result.unexplained)), highest_derivative(result.plant.degrees)
     remaining = f"{percent(share)} of the {derivative} remains unexplained"
     if share > 1.0:
         remaining = f"what remains is {share:.3g} times the {derivative}: worse than no model"

@@ -16,6 +16,7 @@ from eoi_jax.comparators import (
     VSSDirect,
 )
 from eoi_jax.data.record import Record
+from eoi_jax.discovery.acceptance import answered
 from eoi_jax.discovery.cosine_modes import modal_record, motion
 from eoi_jax.discovery.diagnose import diagnose
 from eoi_jax.discovery.discover import discover
@@ -228,3 +229,8 @@ def test_methods_that_differentiate_say_that_they_do_not_apply(method):
     answer = method().estimate(battery(**START), [cell_record(1)])
     assert answer.status.code == "not_applicable"
     assert "voltage is a function of the states (relative degree 0)" in answer.status.message
+
+
+def test_what_is_left_is_a_share_of_the_output_where_no_output_has_a_derivative():
+    assert answered(0.95, 1.1e-3, (0,)).message.endswith("0.0011 of the output (rms)")
+    assert answered(0.95, 1.1e-3, (2, 0)).message.endswith("0.0011 of the highest derivative (rms)")
