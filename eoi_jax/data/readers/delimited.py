@@ -273,7 +273,7 @@ def _layout(lines: Sequence[str], separator: str | None = None) -> _Layout:
     if start is None and len(rows) < 2:
         raise ValueError("it holds no data: one line of text only")
     start = 1 if start is None else start
-    while start > 0 and _has_data(rows[start - 1][1], rows[start][1], width, value_columns):
+    while start > 0 and _has_data([cells for _, cells in rows], start, width, value_columns):
         start -= 1
     notes = []
     decimal = "."
@@ -318,10 +318,16 @@ def _titles(
 
 
 def _are_units(cells: list[str]) -> bool:
-    """Whether a row may hold units: short texts without spaces, possibly in brackets."""
-    filled = [cell for cell in cells if cell]
+    """Whether a row may hold units: short texts without spaces, possibly in brackets.
+
+    Of numbers only 1 is a unit, and none that something is less than.
+    """
+    filled = [cell.strip("[]()") for cell in cells if cell]
     return bool(filled) and all(
-        len(cell.strip("[]()")) <= 12 and " " not in cell for cell in filled
+        len(cell) <= 12
+        and " " not in cell
+        and (cell == "1" or np.isnan(_as_number(cell.lstrip("<>≤≥="))))
+        for cell in filled
     )
 
 
@@ -366,13 +372,14 @@ def _is_data_row(cells: list[str], width: int, value_columns: list[bool]) -> boo
     )
 
 
-def _has_data(cells: list[str], below: list[str], width: int, value_columns: list[bool]) -> bool:
-    """Whether a row above a row of data is one too, with words in some of its cells.
+def _has_data(rows: Sequence[list[str]], start: int, width: int, value_columns: list[bool]) -> bool:
+    """Whether the row above the first row of data is one too, with words in some of its cells.
 
     No header and no units have a date or a time of day in the first column of values where the
-    row below has one, or a number that is smaller than that below, and numbers in at least half
-    of these columns.
+    row below has one, or a number there and numbers in at least half of these columns, if these
+    increase to the row below (the first that differs) or stand below a row of names.
     """
+    cells, below = rows[start - 1], rows[start]
     columns = [j for j in range(width) if value_columns[j]]
     if len(cells) != width or len(below) != width or not columns:
         return False
@@ -380,7 +387,17 @@ def _has_data(cells: list[str], below: list[str], width: int, value_columns: lis
     if is_stamp(first) and is_stamp(next_first):
         return True
     values = sum(_is_value(cells[j]) and cells[j].lower() not in _EMPTY for j in columns)
-    return 2 * values >= len(columns) and _as_number(first) < _as_number(next_first)
+    if 2 * values < len(columns) or np.isnan(_as_number(first)):
+        return False
+    steps = [_as_number(below[j]) - _as_number(cells[j]) for j in columns]
+    changes = [step for step in steps if np.isfinite(step) and step != 0.0]
+    under_names = start > 1 and _are_names(rows[start - 2], width)
+    return (bool(changes) and changes[0] > 0.0) or (under_names and not _are_units(cells))
+
+
+def _are_names(cells: list[str], width: int) -> bool:
+    """Whether a row has a name without a value for each column."""
+    return len(set(cells)) == len(cells) == width and not any(map(_is_value, cells))
 
 
 def _as_number(cell: str) -> float:

@@ -157,6 +157,27 @@ def test_numbers_may_be_names_and_units(tmp_path, head):
     check_columns(read_table(path), tuple(head.splitlines()[0].split(",")))
 
 
+@pytest.mark.parametrize("key", ["1,", "S1,", "1,1,", ""])
+@pytest.mark.parametrize("word", [".", "<0.5", "BLQ"])
+@pytest.mark.parametrize("first", ["0", "0.0", "2.5"])
+def test_a_first_row_with_a_word_for_a_value_is_no_row_of_units(tmp_path, key, word, first):
+    path = tmp_path / "run.csv"
+    stamps = [first, *map(str, np.arange(3.0, 15.0))]
+    values = [word, *map(str, np.arange(12) % 5 + 0.25)]
+    lines = [f"{key}{t},{y}" for t, y in zip(stamps, values, strict=True)]
+    names = ["subject", "group"][: key.count(",")]
+    path.write_text("\n".join([",".join([*names, "t", "y"]), *lines]))
+    table = read_table(path)
+    assert tuple(table.columns) == (*names, "t", "y")
+    assert not table.units
+    assert table.columns["t"][0] == float(first)
+    if word == ".":
+        assert np.isnan(table.columns["y"][0])
+        return
+    with pytest.raises(ValueError, match=rf"`y` must be a numeric .*, got '{word}' in line 2\."):
+        read_record(path, "t", (), "y")
+
+
 def test_one_odd_cell_is_named_with_its_line_whatever_the_decimal_mark(tmp_path):
     path = tmp_path / "run.csv"
     path.write_text("t;u;y\n" + rows(";", comma=True).replace("0,05;", "0,05;error", 1))
