@@ -20,6 +20,7 @@ from eoi_jax.data.resampling import (
     Grid,
     GridSettings,
     Segments,
+    are_sparse,
     covered,
     fill,
     holes,
@@ -36,7 +37,6 @@ SLOW = 1.5  # samples between two of an output, on average, from which on it has
 LONGEST_HELD = 2  # missing samples of a held input that is the same before and after them
 
 _UNKNOWN = "Inputs are unknown at {} in {}: free runs start again after each."
-
 Names: TypeAlias = Sequence[str] | None
 # Inputs, outputs, where all inputs are known, and where each output was measured.
 OnGrid: TypeAlias = tuple[
@@ -411,14 +411,27 @@ def _scattered(
     segments = runs(good[0], ~gaps)
     measured = np.zeros((query.size, y.shape[1]), dtype=bool)
     measured[index] = good[1]
+    moved = ""
+    if grid.deviation > GridSettings.tolerance:
+        moved = f", moved by up to {grid.deviation * grid.sample_period:.2g} s"
     notes.append(
         f"Stamps are {spacing.min():.4g} to {spacing.max():.4g} s apart, without a usual spacing: "
-        f"{index.size} samples on a grid of {grid.sample_period:g} s, which has every one of them."
+        f"{index.size} samples on a grid of {grid.sample_period:g} s, which has every one of "
+        f"them{moved}."
     )
     if np.any(gaps):
         notes.append(_UNKNOWN.format(f"{spacing[gaps].sum():g} s", counted(int(gaps.sum()), "gap")))
     inputs = inputs_on_grid(position, u, segments, query, hold)
     return inputs, fill(position, y, query), covered(position, segments, query), measured
+
+
+def lost_between(grid: Grid, stamps: TimeAxis) -> str:
+    """What resampling loses of sparse samples, and what to do; empty where it loses none."""
+    if grid.index is not None or not are_sparse(stamps):
+        return ""
+    text = "No spacing of the stamps is usual, and samples far from others are lost by resampling: "
+    text += "round the stamps to a step of which the record has at most "
+    return f"{text}{GridSettings.most_points}, or split it."
 
 
 def interpolate(
@@ -470,7 +483,7 @@ def interpolate(
     notes.append(
         f"Stamps are {spacing.min():.4g} to {spacing.max():.4g} s apart: resampled from "
         f"{stamps.size} samples to {query.size} at {h:g} s, outputs by a cubic spline, inputs by "
-        f"{by}{masked}."
+        f"{by}{masked}. {lost_between(grid, stamps)}".rstrip()
     )
     inputs = inputs_on_grid(position, u, segments, query, hold, averaged=True)
     return inputs, outputs, inputs_known, measured

@@ -30,6 +30,7 @@ from eoi_jax.data.cleaning import (
     interpolated_noise,
     is_slow,
     known_inputs,
+    lost_between,
     own_noise,
     place,
     rate_notes,
@@ -194,7 +195,8 @@ class Record(Result):
             arrays = place(grid, grid.index, u, y, good, notes, input_hold, reach)
         inputs, outputs, u_valid, measured = arrays
         count = int(np.min(measured.sum(axis=0)))
-        check(count >= SHORTEST, "outputs", f"must have at least {SHORTEST} valid samples", count)
+        rule, advice = f"must have at least {SHORTEST} valid samples", lost_between(grid, stamps)
+        check(count >= SHORTEST, "outputs", rule, count, advice)
         certain = known_inputs(u_names, inputs, u_valid, input_hold, grid.sample_period, notes)
         rate_notes(y_names, measured, grid.sample_period, notes)
         for note in notes:

@@ -4,7 +4,7 @@ Splines are built over positions in samples, not in seconds, so that they are eq
 conditioned for records in microseconds and in hours.
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any, TypeAlias
 
@@ -36,6 +36,10 @@ class GridSettings:
     neighbors: int = 5  # spacings on each side, beside which one of such a grid may be a gap
     hole: float = 4.0  # spacing over the longest of these, from which on it is one
     moved: float = 0.02  # of the smallest spacing, by which a stamp of such a grid may be rounded
+    most_moved: float = 0.25  # the same where the grid would have too many points
+    # Hours in days, minutes in hours or seconds in minutes, minutes in days, seconds in hours, days.
+    parts: tuple[float, ...] = (24.0, 60.0, 1440.0, 3600.0, 86400.0)
+    written: float = 0.15  # of such a part, by which the digits of a stamp may be off it
 
 
 _SETTINGS = GridSettings()
@@ -535,6 +539,12 @@ def _resolution(stamps: TimeAxis, period: float) -> float:
     return 0.0
 
 
+def are_sparse(stamps: TimeAxis) -> bool:
+    """Whether a tenth of the spacings and more are gaps of a grid of the median spacing."""
+    median, long = np.quantile(np.diff(stamps), [0.5, 1.0 - _SETTINGS.many])
+    return bool(long >= _SETTINGS.gap * median)
+
+
 def _scattered_grid(stamps: TimeAxis) -> Grid | None:
     """The grid that has every stamp, where spacings differ so much that none of them is usual.
 
@@ -543,18 +553,44 @@ def _scattered_grid(stamps: TimeAxis) -> Grid | None:
     short, long = np.quantile(np.diff(stamps), [_SETTINGS.many, 1.0 - _SETTINGS.many])
     if long < _SETTINGS.gap * short:
         return None
-    elapsed, smallest = stamps - stamps[0], float(np.diff(stamps).min())
-    unit = _resolution(elapsed, 10.0 * smallest)
-    if unit == 0.0:
-        unit = 2.0 * _SETTINGS.moved * smallest
-        if elapsed[-1] >= _SETTINGS.most_points * unit:
-            return None
-    ticks = np.rint(elapsed / unit).astype(np.int64)
+    for unit in _common_steps(stamps - stamps[0]):
+        grid = _grid_of_all(stamps, unit)
+        if grid.time.size <= _SETTINGS.most_points:
+            return grid
+    return None
+
+
+def _common_steps(elapsed: TimeAxis) -> Iterator[float]:
+    """Steps of which all stamps are multiples, to rounding; that to which they may be rounded.
+
+    Args:
+        elapsed: stamps from the first.
+    """
+    smallest = float(np.diff(elapsed).min())
+    digit = _resolution(elapsed, 10.0 * smallest)
+    if digit:
+        yield digit
+    for parts in _SETTINGS.parts:
+        ticks = parts * elapsed
+        is_written = np.max(np.abs(ticks - np.rint(ticks))) <= _SETTINGS.written
+        if is_written and parts * smallest > 1.0 - 2.0 * _SETTINGS.written:
+            yield 1.0 / parts
+    fine, coarse = (
+        2.0 * _SETTINGS.moved * smallest,
+        float(elapsed[-1]) / (_SETTINGS.most_points - 1),
+    )
+    yield fine
+    if are_sparse(elapsed) and fine < coarse <= 2.0 * _SETTINGS.most_moved * smallest:
+        yield coarse
+
+
+def _grid_of_all(stamps: TimeAxis, unit: float) -> Grid:
+    """The grid that begins at the first stamp and has each stamp, rounded to `unit`."""
+    ticks = np.rint((stamps - stamps[0]) / unit).astype(np.int64)
     divisor = int(np.gcd.reduce(ticks))
     index, step = ticks // divisor, divisor * unit
-    if index[-1] >= _SETTINGS.most_points:
-        return None
-    time = float(stamps[0]) + step * np.arange(int(index[-1]) + 1)
+    count = int(index[-1]) + 1
+    time = float(stamps[0]) + step * np.arange(count)
     deviation = float(np.max(np.abs(stamps - time[index]))) / step
     return Grid(time, step, index, deviation, 0.0, scattered=True)
 
@@ -573,5 +609,5 @@ def _check_regular(stamps: TimeAxis, period: float) -> None:
         f"must be sampled regularly: {len(stamps)} samples span {span / period:.3g} times "
         "their median spacing",
         f"median {period:g} s, span {span:g} s",
-        "Split the record at its long pauses.",
+        "Split the record at its long pauses, or round its stamps to a coarser step.",
     )

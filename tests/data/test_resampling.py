@@ -101,6 +101,31 @@ def test_scattered_stamps_of_many_digits_are_rounded_to_a_part_of_their_smallest
     assert grid.deviation == pytest.approx(moved.max() / grid.sample_period)
 
 
+BY_HAND = np.array([0, 14, 31, 60, 89, 122, 181, 239, 361, 484, 485, 512, 542, 603, 719, 963, 1441])
+
+
+@pytest.mark.parametrize(
+    ("parts", "first", "digits"),
+    [(60, 0.0, 17), (60, 0.0, 4), (60, 8.25, 3), (1440, 0.0, 17), (1440, 3.1, 17), (1440, 3.1, 5)],
+)
+def test_minutes_counted_in_hours_or_days_are_a_grid(parts, first, digits):
+    grid = uniform_grid(np.round(first + BY_HAND / parts, digits))
+    assert grid.scattered
+    np.testing.assert_array_equal(grid.index, BY_HAND)
+    assert grid.sample_period == pytest.approx(1.0 / parts)
+    assert grid.deviation < 0.15
+
+
+def test_stamps_that_need_too_many_points_are_rounded_up_to_a_quarter_of_their_smallest_spacing():
+    stamps = np.sort(np.append(60.0 * BY_HAND, 512.0 * 60.0 + 11.0))  # to the second, over a day
+    grid = uniform_grid(stamps)
+    assert grid.scattered
+    assert len(grid.time) <= 20_000
+    moved = np.abs(grid.time[grid.index] - stamps)
+    assert moved.max() <= 0.25 * 11.0
+    assert not uniform_grid(np.sort(np.append(60.0 * BY_HAND, 30721.0))).scattered
+
+
 def test_scattered_stamps_that_would_need_too_fine_a_grid_have_none():
     draw = np.random.default_rng(0)
     stamps = np.cumsum(draw.exponential(1.0, 200))
