@@ -414,10 +414,13 @@ def _scattered(
     moved = ""
     if grid.deviation > GridSettings.tolerance:
         moved = f", moved by up to {grid.deviation * grid.sample_period:.2g} s"
+    in_days = grid.sample_period == GridSettings.day
+    unit, size = ("d", GridSettings.day) if in_days else ("s", 1.0)
+    least, most = spacing.min() / size, spacing.max() / size
     notes.append(
-        f"Stamps are {spacing.min():.4g} to {spacing.max():.4g} s apart, without a usual spacing: "
-        f"{index.size} samples on a grid of {grid.sample_period:g} s, which has every one of "
-        f"them{moved}."
+        f"Stamps are {least:.4g} to {most:.4g} {unit} apart, without a usual spacing: {index.size} "
+        f"samples on a grid of {grid.sample_period / size:g} {unit}, which has every one of them"
+        f"{moved}."
     )
     if np.any(gaps):
         notes.append(_UNKNOWN.format(f"{spacing[gaps].sum():g} s", counted(int(gaps.sum()), "gap")))

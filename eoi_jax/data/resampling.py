@@ -37,8 +37,9 @@ class GridSettings:
     hole: float = 4.0  # spacing over the longest of these, from which on it is one
     moved: float = 0.02  # of the smallest spacing, by which a stamp of such a grid may be rounded
     most_moved: float = 0.25  # the same where the grid would have too many points
-    # Hours in days, minutes in hours or seconds in minutes, minutes in days, seconds in hours, days.
+    # Hours in days, minutes in hours (seconds in minutes), minutes in days, seconds in both.
     parts: tuple[float, ...] = (24.0, 60.0, 1440.0, 3600.0, 86400.0)
+    day: float = 86400.0  # s: the last digit of dates of months and years
     written: float = 0.15  # of such a part, by which the digits of a stamp may be off it
 
 
@@ -104,7 +105,7 @@ def uniform_grid(stamps: TimeAxis) -> Grid:
     index = np.concatenate([[0], np.cumsum(steps)])
     start, slope = _line(index, stamps)
     deviation = float(np.max(np.abs(stamps - (start + slope * index)))) / slope
-    resolution = _resolution(stamps, slope) / slope
+    resolution = (_SETTINGS.day if _are_days(stamps, slope) else _resolution(stamps, slope)) / slope
     on_line = deviation <= _SETTINGS.tolerance
     rounded = not on_line and deviation <= 0.6 * resolution + _SETTINGS.tolerance
     if on_line or rounded:
@@ -113,6 +114,8 @@ def uniform_grid(stamps: TimeAxis) -> Grid:
         start = float(stamps[0]) if deviation < 1e-6 else start
         time = start + slope * np.arange(count)
         return Grid(time, slope, index, deviation, resolution * slope if rounded else 0.0)
+    if _are_days(stamps, slope):
+        return _grid_of_all(stamps, _SETTINGS.day)
     first = float(stamps[0])
     if deviation < 0.5:  # from the first point of the line that lies between stamps
         period, first = slope, start + slope * np.ceil((first - start) / slope - _SETTINGS.rounding)
@@ -537,6 +540,12 @@ def _resolution(stamps: TimeAxis, period: float) -> float:
         if np.max(np.abs(digits - np.rint(digits))) <= slack:
             return 10.0**power
     return 0.0
+
+
+def _are_days(stamps: TimeAxis, period: float) -> bool:
+    """Whether the stamps are whole days apart, ten or more, as those of months and years are."""
+    days = (stamps - stamps[0]) / _SETTINGS.day
+    return 10.0 * _SETTINGS.day <= period and bool(np.all(np.abs(days - np.rint(days)) < 1e-6))
 
 
 def are_sparse(stamps: TimeAxis) -> bool:

@@ -1,3 +1,4 @@
+import re
 import warnings
 
 import jax
@@ -92,6 +93,17 @@ def test_a_note_says_what_becomes_of_scattered_stamps_of_too_many_digits():
     t = np.sort(np.append(1300 * np.arange(12), [3901, 28803, 57604, 86400]))
     with pytest.warns(RecordWarning, match=f"resampled from 16 .* {advice}"):
         Record(t, np.zeros((len(t), 0)), np.exp(-t / 2e4))
+
+
+@pytest.mark.parametrize(
+    ("form", "said"), [("M", "28 to 31 d apart.* on a grid of 1 d"), ("Y", "in steps of 86400 s")]
+)
+def test_values_of_months_and_years_stay_as_they_are(form, said):
+    values = np.arange(30) % 2 + 0.1 * np.cos(np.arange(30))
+    dates = np.arange("1950", "1990", dtype=f"datetime64[{form}]")[:30].astype("datetime64[D]")
+    record = Record(dates, np.zeros((30, 0)), values)
+    np.testing.assert_array_equal(record.outputs[record.output_valid], values)
+    assert re.search(said, " ".join(record.notes))
 
 
 def with_a_hole():

@@ -126,6 +126,22 @@ def test_stamps_that_need_too_many_points_are_rounded_up_to_a_quarter_of_their_s
     assert not uniform_grid(np.sort(np.append(60.0 * BY_HAND, 30721.0))).scattered
 
 
+@pytest.mark.parametrize("month", [1, 3])
+def test_months_are_points_of_a_grid_of_days(month):
+    dates = np.arange("1958-01", "2024-01", month, dtype="datetime64[M]").astype("datetime64[D]")
+    days = (dates - dates[0]).astype(float)
+    grid = uniform_grid(86400.0 * (days + 0.5))
+    assert (grid.sample_period, grid.scattered) == (86400.0, True)
+    np.testing.assert_array_equal(grid.index, days)
+
+
+def test_years_are_a_uniform_clock_to_their_rounding_to_days():
+    dates = np.arange("1950", "2050", dtype="datetime64[Y]").astype("datetime64[D]")
+    grid = uniform_grid(86400.0 * (dates - dates[0]).astype(float))
+    np.testing.assert_array_equal(grid.index, np.arange(100))
+    assert grid.resolution == pytest.approx(86400.0)
+
+
 def test_scattered_stamps_that_would_need_too_fine_a_grid_have_none():
     draw = np.random.default_rng(0)
     stamps = np.cumsum(draw.exponential(1.0, 200))
