@@ -1,8 +1,9 @@
 """Channels that wrap: counters and angles that start again at the other end of their range.
 
 From one sample to the next such a channel moves a little, or jumps back by nearly its period. A
-jump is a wrap if the channel goes on behind it as it went before. What goes from level to level,
-such as a square wave, rests or turns at its jumps.
+jump is a wrap if the channel goes on behind it as it went before, or if noise takes it across both
+ends of a usual range, as a heading about north. What goes from level to level, such as a square
+wave, rests or turns at its jumps.
 """
 
 from collections.abc import Sequence
@@ -31,6 +32,8 @@ class WrappingSettings:
     precise: float = 1e-3  # the same for a counter that moves evenly: its periods lie closer
     examined: int = 1000  # jumps
     widened: float = 0.02  # of the period: range of the channel beyond it, by noise
+    hovering: int = 3  # different values at each end, of a channel that noise takes across them
+    at_ends: float = 0.5  # share of its samples at its largest and smallest value; more: clipped
     turns: int = 3  # jumps from which on a period that is not usual is mentioned
     # Of angles and of counters; a counter of whole numbers also wraps at a power of two.
     angles: tuple[float, ...] = (360.0, 2.0 * np.pi, 180.0, np.pi)
@@ -117,12 +120,32 @@ def wrapping(values: Float[np.ndarray, " n"], mask: Bool[np.ndarray, " n"]) -> W
         return None
     turned, _ = unwrapped(measured, np.ones(len(measured), bool), period)
     turns = usual and times > 1 and float(np.ptp(turned)) > value_range
-    if np.mean(goes_on) < _SETTINGS.directed and not turns:
+    turned_step = np.abs(np.diff(turned))
+    hovers = usual and times > 1 and motion >= np.median(turned_step[is_jump])
+    hovers = hovers and _hovers(measured, period)
+    if np.mean(goes_on) < _SETTINGS.directed and not (turns or hovers):
         return None
     if not usual and times < _SETTINGS.turns:
         return None
-    largest = float(np.max(np.abs(np.diff(turned)[adjacent])))
+    largest = float(np.max(turned_step[adjacent]))
     return Wrapping(period, times, usual, largest / period)
+
+
+def _hovers(values: Float[np.ndarray, " n"], period: float) -> bool:
+    """Whether a channel is within one period, up to both ends of it, and not clipped there.
+
+    A switch has one value at each end, and noise takes it beyond them.
+
+    Args:
+        values: of a channel that jumps by its period.
+        period: a usual one.
+    """
+    lowest, highest = float(np.min(values)), float(np.max(values))
+    is_within = any(start <= lowest and highest <= start + period for start in (0.0, -0.5 * period))
+    upper = values > lowest + 0.5 * period
+    different = min(len(np.unique(values[upper])), len(np.unique(values[~upper])))
+    at_ends = float(np.mean((values == lowest) | (values == highest)))
+    return is_within and different >= _SETTINGS.hovering and at_ends <= _SETTINGS.at_ends
 
 
 def course(values: Float[np.ndarray, " n"], wraps: Wrapping | None) -> Float[np.ndarray, " n"]:

@@ -19,6 +19,8 @@ TURN = 2 * np.pi
 # Back and forth over several turns [rad].
 ANGLE = np.cumsum(0.1 * np.sin(0.3 * TIME) + 0.05 * np.sin(1.1 * TIME) + 0.03)
 COUNTS = np.floor(ANGLE * 4096 / TURN)
+# It hovers about north, and noise takes it across [deg].
+HEADING = np.round((3 * np.sin(0.2 * TIME) + 0.4 * RNG.standard_normal(N)) % 360, 1) % 360
 SQUARE = np.where(np.sin(2 * TIME) > 0, 1.0, 0.0)
 PRBS = np.repeat(RNG.choice([-1.0, 1.0], N // 20), 20)
 
@@ -52,6 +54,10 @@ def record(values, **options):
         (ANGLE % TURN + 0.01 * RNG.standard_normal(N), TURN),  # noise behind the sensor
         (np.degrees(0.3 * np.exp(-0.05 * TIME) * np.sin(2 * TIME)) % 360, 360),  # swings at it
         (np.degrees(0.003 * np.arange(3000)) % 360, 360),  # one turn
+        (HEADING, 360),
+        (np.floor(HEADING), 360),
+        (np.radians(HEADING) - np.pi, TURN),
+        (np.floor(2 * RNG.standard_normal(N)) % 4096, 4096),
     ],
 )
 def test_what_wraps_is_found_with_its_period(values, period):
@@ -93,6 +99,10 @@ def filtered(drive, pole):
         RNG.integers(0, 4096, N),
         np.cumsum(RNG.standard_normal(N)),
         np.where(np.arange(N) % 97, np.linspace(100, 360, N), 0.0),  # a sensor that drops out
+        np.clip(np.round(4095 * SQUARE + 3 * RNG.standard_normal(N)), 0, 4095),  # from rail to rail
+        255 * SQUARE,
+        np.where(np.arange(N) % 97, 359 + 0.1 * np.sin(3 * TIME), 0.0),  # drops out near its end
+        180 + 178 * (2 * SQUARE - 1) + 0.4 * RNG.standard_normal(N),
         np.zeros(N),
         np.zeros(1),
     ],
