@@ -16,7 +16,7 @@ from eoi_jax.data.readers.table import Table
 from eoi_jax.data.resampling import GridSettings
 
 _NAMES = re.compile(
-    r"(t|time|times|tempo|tiempo|temps|zeit|stamps?|timestamps?|clock|date|datetime|elapsed|"
+    r"(t|utc|time|times|tempo|tiempo|temps|zeit|stamps?|timestamps?|clock|date|datetime|elapsed|"
     r"sec|secs|seconds?|s|ms|us|µs|millis|micros|zeitstempel|uhrzeit|datum)$",
     re.IGNORECASE,
 )

@@ -210,8 +210,9 @@ def _read(source: Any, lines: Sequence[str], encoding: str, separator: str | Non
         if columns[key].dtype.kind == "O":
             columns[key], unit = without_unit(columns[key])
             units |= {key: unit} if unit else {}
-    columns = on_their_days(columns, notes)
-    return Table(columns, {**_named_units(keys), **units}, tuple(notes), objects)
+    units = {**_named_units(keys), **units}
+    columns = on_their_days(columns, units, notes)
+    return Table(columns, units, tuple(notes), objects)
 
 
 def first_word(cells: Iterable[Any]) -> str:

@@ -2,6 +2,7 @@
 
 import re
 import warnings
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
@@ -57,18 +58,63 @@ def read_stamps(key: str, values: Any, first: str, notes: list[str]) -> np.ndarr
     return _times_of_day(key, values, notes)
 
 
-def on_their_days(columns: Columns, notes: list[str]) -> Columns:
+def _without_colons(
+    key: str, values: np.ndarray, notes: list[str], fewest: int = 8, even: float = 0.9
+) -> np.ndarray:
+    """Numbers hhmmss.ss, as NMEA 0183 has them, as times of day (timedelta64); others as they are.
+
+    They have no minute and no second of 60 or more, and as times of day more of their steps forward
+    are of the usual length than as numbers, which jump behind each minute. Some restarts are let
+    pass, as at midnight.
+
+    Args:
+        key: name of the column.
+        values: of the column.
+        notes: to which a sentence is appended.
+        fewest: steps forward.
+        even: share of them that must be of the usual length, within a half.
+    """
+    if values.dtype.kind not in "iuf":
+        return values
+    numbers = values.astype(np.float64)
+    is_number = np.isfinite(numbers)
+    minutes, seconds = np.floor(numbers / 100.0) % 100.0, numbers % 100.0
+    good = (numbers >= 0) & (numbers < 240000) & (minutes < 60) & (seconds < 60)
+    if not np.all(good[is_number]):
+        return values
+    elapsed = 3600.0 * np.floor(numbers / 10000.0) + 60.0 * minutes + seconds
+    steps = np.diff(elapsed[is_number])
+    is_forward = steps > 0
+    if np.sum(is_forward) < fewest or np.sum(steps < 0) > 0.01 * len(steps):
+        return values
+    as_numbers, as_times = (
+        float(np.mean(np.abs(forward / np.median(forward) - 1.0) <= 0.5))
+        for forward in (np.diff(numbers[is_number])[is_forward], steps[is_forward])
+    )
+    if as_times <= max(as_numbers, even):
+        return values
+    notes.append(f"`{key}` {TIMES_OF_DAY} as numbers hhmmss.")
+    stamps = np.full(len(numbers), np.timedelta64("NaT", "ns"))
+    stamps[is_number] = np.rint(1e6 * elapsed[is_number]).astype("timedelta64[us]")
+    return stamps
+
+
+def on_their_days(columns: Columns, units: Mapping[str, str], notes: list[str]) -> Columns:
     """The columns with times of day as dates where another column has the days, else over midnight.
 
     The days are those of the nearest column of dates alone that has one for each time of day, and a
     later one after midnight. Without such a column a time of day that is much earlier than the one
-    before it is of the next day.
+    before it is of the next day. A column without a unit may hold them as numbers hhmmss.
 
     Args:
         columns: of one length.
+        units: by column, where the file gives them.
         notes: to which a sentence on each column of times of day is appended.
     """
     keys, combined = list(columns), dict(columns)
+    for key in [key for key in keys if key not in units]:
+        combined[key] = _without_colons(key, columns[key], notes)
+    columns = dict(combined)
     for i, key in enumerate(keys):
         if columns[key].dtype.kind != "m":
             continue

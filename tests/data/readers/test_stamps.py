@@ -128,3 +128,40 @@ def test_names_that_do_not_fit_the_columns_are_told(tmp_path):
     path = tmp_path / "run.txt"
     path.write_text("t y\n" + "".join(f"{k} {k % 7} {k % 5}\n" for k in range(50)))
     assert "has 2 names for 3 columns: left out" in " ".join(read_table(path).notes)
+
+
+@pytest.mark.parametrize("period", [0.1, 1.0, 60.0])
+@pytest.mark.parametrize("start", [0.0, 45210.0, 86300.0])  # the last one passes midnight
+def test_times_of_day_as_numbers_are_recognised(tmp_path, period, start):
+    elapsed = period * np.arange(1500)
+    day = np.round(start + elapsed, 1) % 86400
+    cells = [f"{t // 3600:02.0f}{t % 3600 // 60:02.0f}{t % 60:04.1f}" for t in day]
+    cells[7] = ""  # without a fix
+    path = tmp_path / "nmea.csv"
+    lines = [f"{cell},{k % 7},{k % 5}" for k, cell in enumerate(cells)]
+    path.write_text("\n".join(["UTC,u,y", *lines]))
+    table = read_table(path)
+    np.testing.assert_array_equal(table.columns["u"], np.arange(1500) % 7)
+    assert inspect(path).clock.column == "UTC"
+    path.write_text("\n".join(["UTC,u,y", *lines[:7], *lines[8:]]))
+    record = read_record(path, "UTC", "u", "y")
+    assert record.sample_period == pytest.approx(period)
+    assert record.time[-1] == pytest.approx(elapsed[-1])
+    assert any("`UTC` holds times of day as numbers hhmmss." in note for note in record.notes)
+
+
+@pytest.mark.parametrize(
+    ("name", "stamps"),
+    [
+        ("UTC [s]", 100.0 * np.arange(60)),
+        ("time", np.arange(60.0)),
+        ("time", 30.0 * np.arange(60)),
+        ("time", np.append(np.arange(40.0), 100.0 + np.arange(40.0))),  # a pause
+        ("time", 100.0 * np.arange(50)),
+        ("level", 50.0 * np.repeat(np.arange(40), 3)),
+    ],
+)
+def test_seconds_and_signals_are_no_times_of_day(tmp_path, name, stamps):
+    path = tmp_path / "run.csv"
+    path.write_text("\n".join([f"{name},y", *(f"{t},{k % 5}" for k, t in enumerate(stamps))]))
+    np.testing.assert_array_equal(read_table(path).columns[name], stamps)
