@@ -217,7 +217,7 @@ _ENDS = {
     "m³/h": ("m3_h",), "kg/s": ("kg_s",), "N m": ("N_m", "Nm"), "°F": ("degF",),
     "°C": ("degC", "degc", "celsius", "Celsius"), "K": ("kelvin", "Kelvin"), "A": ("amps",),
     "V": ("volt", "volts"), "W": ("watts",), "%": ("pct", "percent", "prozent"),
-    "deg": ("degrees",), "rpm": ("RPM",),
+    "deg": ("degrees",), "rpm": ("RPM",), "kn": ("kts", "knots"),
 }  # fmt: skip
 _SPELLED = (
     "rad/s", "rad/s²", "rad/s^2", "deg/s", "m/s", "m/s²", "m/s^2", "mm/s", "km/h", "l/min", "m³/s",
@@ -241,8 +241,9 @@ _WORDS_OF_END = {
     "bar": r"p|pressure|druck|pression|presion",
     "rad": r"angle|pos|position|theta|phi|alpha|winkel|encoder|enc",
     "deg": r"angle|pos|position|theta|phi|alpha|winkel|encoder|enc",
+    **dict.fromkeys(("kn", "kt"), r"speed|velocity|sog|stw|wind|geschwindigkeit|fahrt|vitesse"),
 }
-_SHOWN_END = {"C": "°C"}
+_SHOWN_END = {"C": "°C", "kt": "kn"}
 _COUNTING = ("A", "C", "N", "V")  # sensor A, B, C; number N: the word must be the one before
 
 

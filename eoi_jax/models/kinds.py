@@ -18,7 +18,8 @@ _ANGLES = ("rad", "mrad", "°", "deg", "degree", "degrees", "rev")
 _UNITS = {
     "speed": (
         *(f"{length}/{time}" for length in (*_LENGTHS, *_ANGLES) for time in ("s", "min", "h")),
-        *("km/h", "kph", "mph", "kn", "rpm", "1/min", "min⁻¹", "U/min", "Hz"),
+        *("km/h", "kph", "kmh", "mph", "kn", "kt", "kts", "knot", "knots"),
+        *("rpm", "1/min", "min⁻¹", "U/min", "Hz"),
     ),
     "position": _ANGLES,
     "temperature": ("K", "°C", "degC", "C", "°F", "degF"),

@@ -58,6 +58,7 @@ _POWER = Dimension(1.0, {"kg": 1, "m": 2, "s": -3})
 _PRESSURE = Dimension(1.0, {"kg": 1, "m": -1, "s": -2})
 _VOLUME = Dimension(1.0, {"m": 3})
 _REVOLUTION = Dimension(2.0 * math.pi, {"rad": 1})
+_SPEED = Dimension(1.0, {"m": 1, "s": -1})
 _PER_SECOND = Dimension(1.0, {"s": -1})
 
 
@@ -106,7 +107,9 @@ _UNITS = {
     "in": Dimension(0.0254, {"m": 1}),
     "inch": Dimension(0.0254, {"m": 1}),
     "ft": Dimension(0.3048, {"m": 1}),
-    "mph": Dimension(0.44704, {"m": 1, "s": -1}),
+    **_scaled(_SPEED, 0.44704, "mph"),
+    **_scaled(_SPEED, 1.0 / 3.6, "kph", "kmh"),
+    **_scaled(_SPEED, 1852.0 / 3600.0, "kn", "kt", "kts", "knot", "knots"),
     **_scaled(_VOLUME, 3.785411784e-3, "gal"),  # of the United States
     **_scaled(_VOLUME.times(_PER_SECOND), 3.785411784e-3 / 60.0, "gpm"),
     **_scaled(_VOLUME.times(_PER_SECOND), 1e-3 / 60.0, "lpm", "LPM"),

@@ -579,11 +579,12 @@ def test_of_several_files_the_last_is_held_out(tmp_path):
         ("T_K", "K"), ("omega_rad_s", "rad/s"), ("T_innen_K", "K"), ("motorCurrent_mA", "mA"),
         ("pwm_percent", "%"), ("speed_rpm", "rpm"), ("angle_deg", "deg"), ("accel_m_s2", "m/s²"),
         ("rate_rad_per_s", "rad/s"), ("level_m", "m"), ("supply_volts", "V"), ("druck_bar", "bar"),
-        ("Heizleistung_kW", "kW"),
+        ("Heizleistung_kW", "kW"), ("sog_knots", "kn"), ("wind_speed_kt", "kn"),
         # ambiguous, or no unit: a motor A, a measured x, radiation, a gain, a phase, a number
         ("motor_A", ""), ("x_m", ""), ("solar_rad", ""), ("gain_K", ""), ("phase_V", ""),
         ("samples_N", ""), ("temp_sensor_C", ""), ("V", ""), ("rpm", ""), ("time_s", ""),
         ("speed [m/s]", ""), ("u", ""), ("", ""), ("_V", ""), ("pump_in", ""), ("y_min", ""),
+        ("motor_kt", ""),
     ],
 )  # fmt: skip
 def test_units_at_the_ends_of_names_are_read_where_they_mean_nothing_else(name, unit):

@@ -13,6 +13,7 @@ from eoi_jax.models.kinds import kind_of
     [
         ("v", "m/s", 1, "speed"),
         ("x1", "km/h", 1, "speed"),
+        ("x1", "kts", 1, "speed"),
         ("h", "m", 1, "level"),
         ("x", "m", 2, "position"),
         ("q", "rad", 2, "position"),
