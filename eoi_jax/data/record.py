@@ -118,7 +118,7 @@ class Record(Result):
             estimate decides again by its fit.
         notes: sentences on the changes made to the record, in order.
         file_units: units in its file, by channel, where the caller neither gave a unit nor scaled
-            the column; None: none.
+            the column; also that in which its time counts, by `time`. None: none.
         smoothed: cut-off frequencies of the zero-phase low-passes applied so far [rad/s].
 
     Raises:

@@ -79,6 +79,18 @@ def declared_unit(column: str, unit: str) -> tuple[str, float] | None:
     return next(((word, _UNITS[word]) for word in words if word in _UNITS), None)
 
 
+def unit_of_seconds(seconds: float) -> str:
+    """The unit of time of so many seconds; "" if there is none.
+
+    Args:
+        seconds: in the unit.
+    """
+    units = (
+        unit for unit in ("s", "ms", "µs", "min", "h", "d") if np.isclose(_UNITS[unit], seconds)
+    )
+    return next(units, "")
+
+
 def find_clock(
     table: Table, numbers: Mapping[str, Float[np.ndarray, " time"]], column: str | None = None
 ) -> Clock:

@@ -12,7 +12,7 @@ from eoi_jax.data.cleaning import numbered_names
 from eoi_jax.data.record import Record
 from eoi_jax.models.angles import check_angles
 from eoi_jax.models.plant import Plant
-from eoi_jax.models.units import same_unit, units_agree
+from eoi_jax.models.units import same_unit, unit_of_rates, units_agree
 
 
 def check_records(plant: Plant, records: Record | Sequence[Record]) -> tuple[Record, ...]:
@@ -77,6 +77,8 @@ def check_records(plant: Plant, records: Record | Sequence[Record]) -> tuple[Rec
 def unit_notes(plant: Plant, records: Sequence[Record]) -> list[str]:
     """A sentence for each channel whose unit in its file cannot be compared with the plant's.
 
+    And where its rates are in another unit of time than that in which the records count.
+
     Args:
         plant: with units.
         records: that `check_records` has accepted.
@@ -88,12 +90,21 @@ def unit_notes(plant: Plant, records: Sequence[Record]) -> list[str]:
         for name, label in zip(channels, record.input_names + record.output_names, strict=True)
         if (header := (record.file_units or {}).get(label)) and name in plant.units
     }
-    return [
+    sentences = [
         f"{label} is in {header!r} in its file and in {unit!r} in the model: whether these are one "
         "unit is not known. If they are, give it by `units`"
         for label, header, unit in sorted(pairs)
         if units_agree(header, unit) is None
     ]
+    rates = unit_of_rates(plant.units.get(name, "") for name in plant.names)
+    counted_in = {(record.file_units or {}).get("time", "") for record in records}
+    if rates and counted_in == {"s"}:
+        sentences.append(
+            f"rates of the model are declared per {rates}, and the records count time in s: what "
+            "is fitted is per s, unless the equations convert it. Where the model counts time in "
+            f"{rates}, give the time a `scale` that makes it {rates} (1, of a column in {rates})"
+        )
+    return sentences
 
 
 def _check_places(plant: Plant, record: Record) -> None:

@@ -2,7 +2,7 @@
 
 import math
 import re
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
 
 _RAISED = {1: "", 2: "²", 3: "³", 4: "⁴"}
@@ -220,6 +220,23 @@ def units_agree(first: str, second: str) -> bool | None:
         return True
     is_remark = any(text in _REMARKS for text in texts) and not alike
     return None if is_remark or "1" in texts else False
+
+
+def unit_of_rates(units: Iterable[str]) -> str:
+    """The unit of time, other than s, in which all rates and time constants among units are.
+
+    Args:
+        units: as texts; those of other quantities, and what counts turns, are passed over.
+
+    Returns:
+        min, h, d; "" where they are in s, in several, or where there is none.
+    """
+    seconds = set()
+    for unit in units:
+        product = _read(_spelled(unit))
+        if product is not None and product.powers.keys() == {"s"}:
+            seconds.add(round(product.factor ** (1.0 / product.powers["s"]), 6))
+    return {60.0: "min", 3600.0: "h", 86400.0: "d"}.get(*seconds, "") if len(seconds) == 1 else ""
 
 
 def _without_radians(unit: Dimension) -> dict[str, int]:

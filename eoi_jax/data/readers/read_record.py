@@ -35,6 +35,7 @@ from eoi_jax.data.time_axis import (
     declared_unit,
     epoch_unit,
     seconds_from_first,
+    unit_of_seconds,
 )
 from eoi_jax.data.unwrapping import checked_periods, unwrapped_channels
 
@@ -146,7 +147,8 @@ def read_record(
         hold=hold, burn_in=burn_in, mask_faults=mask_faults,
     )  # fmt: skip
     silent = {key: labels[key] for key in labels if key not in {*factors, *unit_names, clock}}
-    return _with_file_units(record, " ".join([*hints, *hold_notes, *notes]), silent, table)
+    record = _with_file_units(record, " ".join([*hints, *hold_notes, *notes]), silent, table)
+    return _with_unit_of_time(record, clock, table, factors.get(clock or "", 1.0))
 
 
 # -- choosing columns ---------------------------------------------------------------------
@@ -187,6 +189,18 @@ def _with_file_units(record: Record, note: str, labels: Mapping[str, str], table
     record = record._changed(note)
     units = {label: table.units[key] for key, label in labels.items() if table.units.get(key)}
     record._assign({"file_units": units or None})
+    return record
+
+
+def _with_unit_of_time(record: Record, clock: str | None, table: Table, factor: float) -> Record:
+    """The record with the unit in which its time counts, where its file tells."""
+    if clock is None:
+        return record
+    declared = declared_unit(clock, table.units.get(clock, ""))
+    is_dated = table.columns[clock].dtype.kind in "Mm" if clock in table.columns else False
+    seconds = 1.0 if is_dated else declared[1] if declared else 0.0
+    unit = unit_of_seconds(seconds / factor)
+    record._assign({"file_units": {**(record.file_units or {}), "time": unit}} if unit else {})
     return record
 
 

@@ -392,6 +392,26 @@ def test_a_column_of_the_same_name_in_another_unit_is_the_one_that_is_meant(tmp_
         read_record(tmp_path / "run.csv", "t", "Ta [degC]", "T [degC]")
 
 
+@pytest.mark.parametrize(
+    ("head", "scale", "unit"),
+    [("time [h]", 3600, "s"), ("time [h]", 1, "h"), ("time [h]", 60, "min"), ("time [s]", 1, "s"),
+     ("time", 3600, None)],
+)  # fmt: skip
+def test_rates_per_hour_of_a_model_are_told_where_time_counts_in_seconds(
+    tmp_path, head, scale, unit
+):
+    path = tmp_path / "run.csv"
+    path.write_text(f"{head},u,y\n" + "".join(f"{k / 4},{k % 7},{k}\n" for k in range(40)))
+    record = read_record(path, head, "u", "y", scale={head: scale})
+    assert (record.file_units or {}).get("time") == unit
+    for rate, is_told in (("1/h", unit == "s"), ("1/s", False)):
+        units = {"k": rate, "tau": rate.removeprefix("1/"), "a": "m/h"}
+        plant = Plant(lambda t, x, u, p: p.k * u[0], {"k": 1.0, "tau": 1.0, "a": 1.0}, 1, ("u",),
+                      ("y",), units=units)  # fmt: skip
+        notes = unit_notes(plant, [record])
+        assert any("declared per h, and the records count time in s" in n for n in notes) is is_told
+
+
 @pytest.mark.parametrize("header", HEADERS.values(), ids=HEADERS)
 def test_the_unit_in_a_file_is_checked_where_the_caller_gives_none(tmp_path, header):
     """1 mm as 1 cm would be a wrong answer without a word."""
