@@ -20,11 +20,11 @@ from eoi_jax.data.resampling import (
     Grid,
     GridSettings,
     Segments,
-    are_sparse,
     covered,
     fill,
     holes,
     inputs_on_grid,
+    lost_between,
     own_period,
     own_segments,
     runs,
@@ -37,6 +37,11 @@ SLOW = 1.5  # samples between two of an output, on average, from which on it has
 LONGEST_HELD = 2  # missing samples of a held input that is the same before and after them
 
 _UNKNOWN = "Inputs are unknown at {} in {}: free runs start again after each."
+_NO_OUTPUT = (
+    "Leave out the records in which it was not measured, or fit them with a model whose outputs "
+    "are those that were: others may be internal states."
+)
+
 Names: TypeAlias = Sequence[str] | None
 # Inputs, outputs, where all inputs are known, and where each output was measured.
 OnGrid: TypeAlias = tuple[
@@ -222,7 +227,8 @@ def drop_repeats(
             "must not repeat with different values",
             f"{stamps[i]} s at index {i - 1} and at index {i}",
             "If the clock is too coarse, or is put back at the end of daylight saving time, give "
-            "a sample period in its place (`sample_period`, or `Record.from_period`).",
+            "a sample period in its place (`sample_period`, or `Record.from_period`). Of "
+            "replicates at one instant give the means, or each series as a record of its own.",
         )
     distinct = np.concatenate([[True], spacing > 0])
     notes.append(
@@ -250,7 +256,9 @@ def scored_samples(
     check_kind("mask_faults", mask_faults, bool, "True or False")
     names, finite = (*u_names, *y_names), np.isfinite(np.hstack([u, y]))
     for key, column in zip(names, finite.T, strict=True):
-        check(bool(column.any()), key, "must hold a finite value", "NaN or infinity throughout")
+        advice = _NO_OUTPUT if key in y_names else "Write 0 where nothing acted."
+        got = "NaN or infinity throughout"
+        check(bool(column.any()), key, "must hold a finite value", got, advice)
     u_good = np.asarray(finite[:, : len(u_names)].all(axis=1))
     y_good = finite[:, len(u_names) :]
     slow = {key for key, column in zip(y_names, y_good.T, strict=True) if is_slow(column)}
@@ -274,6 +282,7 @@ def scored_samples(
         "inputs, outputs",
         f"must have at least {SHORTEST} finite samples of every channel",
         f"{counts[fewest]} of {fewest}",
+        _NO_OUTPUT if fewest in y_names else SELDOM,
     )
     rows = int(u_good.sum())
     listed = ", ".join(f"{key} has {counts[key]}" for key in u_names)
@@ -426,15 +435,6 @@ def _scattered(
         notes.append(_UNKNOWN.format(f"{spacing[gaps].sum():g} s", counted(int(gaps.sum()), "gap")))
     inputs = inputs_on_grid(position, u, segments, query, hold)
     return inputs, fill(position, y, query), covered(position, segments, query), measured
-
-
-def lost_between(grid: Grid, stamps: TimeAxis) -> str:
-    """What resampling loses of sparse samples, and what to do; empty where it loses none."""
-    if grid.index is not None or not are_sparse(stamps):
-        return ""
-    text = "No spacing of the stamps is usual, and samples far from others are lost by resampling: "
-    text += "round the stamps to a step of which the record has at most "
-    return f"{text}{GridSettings.most_points}, or split it."
 
 
 def interpolate(

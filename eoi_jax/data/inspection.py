@@ -29,7 +29,7 @@ from eoi_jax.data.column_names import (
 from eoi_jax.data.input_holds import STAIRCASE
 from eoi_jax.data.readers.delimited import first_word
 from eoi_jax.data.readers.limits import MAX_GIGABYTES
-from eoi_jax.data.readers.long_form import mixed_tags
+from eoi_jax.data.readers.long_form import found_clock, mixed_tags
 from eoi_jax.data.readers.read_record import read_table
 from eoi_jax.data.readers.table import Table
 from eoi_jax.data.readers.words import is_grouped
@@ -40,7 +40,6 @@ from eoi_jax.data.time_axis import (
     NAMED,
     Clock,
     daylight_saving,
-    find_clock,
     numbers_runs,
     oldest_first,
     parts_between_restarts,
@@ -173,7 +172,7 @@ def inspect(
     numbers = _numbers(table, samples)
     named = {"time": None if time is None else [time], "input": inputs, "output": outputs}
     _check_named(named, numbers)
-    clock = find_clock(table, numbers, time)
+    clock = found_clock(table, numbers, time)
     if clock.column is None:
         clock = _declared_period(table, clock)
     channels = [

@@ -548,10 +548,24 @@ def _are_days(stamps: TimeAxis, period: float) -> bool:
     return 10.0 * _SETTINGS.day <= period and bool(np.all(np.abs(days - np.rint(days)) < 1e-6))
 
 
-def are_sparse(stamps: TimeAxis) -> bool:
+def _are_sparse(stamps: TimeAxis) -> bool:
     """Whether a tenth of the spacings and more are gaps of a grid of the median spacing."""
     median, long = np.quantile(np.diff(stamps), [0.5, 1.0 - _SETTINGS.many])
     return bool(long >= _SETTINGS.gap * median)
+
+
+def lost_between(grid: Grid, stamps: TimeAxis) -> str:
+    """What resampling loses of sparse samples, and what to do; empty where it loses none.
+
+    Args:
+        grid: of the stamps.
+        stamps: of the samples.
+    """
+    if grid.index is not None or not _are_sparse(stamps):
+        return ""
+    text = "No spacing of the stamps is usual, and samples far from others are lost by resampling: "
+    text += "round the stamps to a step of which the record has at most "
+    return f"{text}{_SETTINGS.most_points}, or split it."
 
 
 def _scattered_grid(stamps: TimeAxis) -> Grid | None:
@@ -589,7 +603,7 @@ def _common_steps(elapsed: TimeAxis) -> Iterator[float]:
         float(elapsed[-1]) / (_SETTINGS.most_points - 1),
     )
     yield fine
-    if are_sparse(elapsed) and fine < coarse <= 2.0 * _SETTINGS.most_moved * smallest:
+    if _are_sparse(elapsed) and fine < coarse <= 2.0 * _SETTINGS.most_moved * smallest:
         yield coarse
 
 

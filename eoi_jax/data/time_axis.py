@@ -120,10 +120,19 @@ def find_clock(
     )
 
 
+def is_called_time(key: str) -> bool:
+    """Whether the name of a column is that of a time.
+
+    Args:
+        key: the name.
+    """
+    return bool(_NAMES.match(_stem(key)))
+
+
 def _runs_evenly(key: str, values: Float[np.ndarray, " time"], table: Table) -> bool:
     """Whether a column is called a time, or ticks evenly and is not called a signal."""
     dates = table.columns[key].dtype.kind in "Mm"
-    if key == table.time or dates or _NAMES.match(_stem(key)):
+    if key == table.time or dates or is_called_time(key):
         return True
     return not role_of_name(key) and _ticks(np.diff(values))
 
@@ -136,7 +145,7 @@ def _score(key: str, values: Float[np.ndarray, " time"], table: Table) -> float:
         return 0.0
     forward = float(np.mean(steps > 0))
     backward = float(np.mean(steps < 0))
-    named = bool(_NAMES.match(_stem(key)))
+    named = is_called_time(key)
     # A clock with restarts or repeats is accepted by its name or type, or where it ticks evenly.
     grows = forward > 0.5 and backward < 0.01 if named or dates else forward == 1.0
     grows = grows or (named and forward > 0.5 and len(parts_between_restarts(values)) > 1)
@@ -172,7 +181,7 @@ def _reason(column: str, values: Float[np.ndarray, " time"], dates: bool) -> str
     if dates:
         return "it holds dates or times of day"
     is_rising = np.all(np.diff(values) > 0)
-    if _NAMES.match(_stem(column)):
+    if is_called_time(column):
         return f"it {'' if is_rising else 'mostly '}increases, and its name says so"
     return "it increases throughout" if is_rising else "it mostly increases, in equal steps"
 
@@ -319,7 +328,7 @@ def numbers_runs(values: np.ndarray | None, stamps: np.ndarray | None) -> bool:
 def oldest_first(table: Table) -> Table:
     """The table, its rows turned round where a clock runs backwards throughout."""
     for key, values in table.columns.items():
-        clock = values.dtype.kind in "Mm" or bool(_NAMES.match(_stem(key)))
+        clock = values.dtype.kind in "Mm" or is_called_time(key)
         if not clock or values.dtype.kind not in "Mmiuf" or len(values) < 2:
             continue
         steps = np.diff(values)
@@ -353,7 +362,7 @@ def stamped_rows(table: Table) -> tuple[Table, list[str]]:
     clock, is_stamped = "", np.zeros(0, bool)
     for key, values in table.columns.items():
         dates = values.dtype.kind in "Mm"
-        if not (dates or (values.dtype.kind in "iuf" and _NAMES.match(_stem(key)))):
+        if not (dates or (values.dtype.kind in "iuf" and is_called_time(key))):
             continue
         stamps = seconds_from_first(values) if dates and len(values) else values
         finite = np.isfinite(stamps.astype(float))

@@ -106,6 +106,30 @@ def test_values_of_months_and_years_stay_as_they_are(form, said):
     assert re.search(said, " ".join(record.notes))
 
 
+def seldom(count):
+    """A column with so many entries in its first rows."""
+    return np.where(np.arange(N) < count, TIME, np.nan)
+
+
+@pytest.mark.parametrize(
+    ("inputs", "outputs", "said"),
+    [
+        (TIME, np.c_[TIME, seldom(0)], "`y2` must hold a finite value.* Leave out the records in"),
+        (TIME, np.c_[TIME, seldom(4)], "got 4 of y2. .*may be internal states"),
+        (seldom(0), TIME, "`u` must hold a finite value.*Write 0 where nothing acted"),
+        (seldom(4), TIME, "got 4 of u. .*declare its `hold`"),
+    ],
+)
+def test_channels_with_too_few_samples_are_refused_with_what_to_do(inputs, outputs, said):
+    with pytest.raises(ValueError, match=said):
+        Record(TIME, inputs, outputs)
+
+
+def test_replicates_are_refused_with_what_to_do():
+    with pytest.raises(ValueError, match="Of replicates at one instant give the means, or each"):
+        Record(np.repeat(TIME, 3), np.zeros((3 * N, 0)), np.random.default_rng(0).random(3 * N))
+
+
 def with_a_hole():
     """Stamps now and then, once nothing for nine hours; the input changes in between."""
     rows = np.random.default_rng(1).random(400) > 0.4

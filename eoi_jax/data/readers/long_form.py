@@ -1,11 +1,15 @@
 """Tables with the rows of several signals below each other, told apart by a tag."""
 
 import re
+from collections.abc import Mapping
+from dataclasses import replace
 
 import numpy as np
+from jaxtyping import Float
 
 from eoi_jax._checks import counted
 from eoi_jax.data.readers.table import Table
+from eoi_jax.data.time_axis import NAMED, Clock, find_clock, is_called_time, numbers_runs
 
 # Not "Tag" alone, which is a day in German.
 _TAG = re.compile(r"(tag|point|signal)[ _.]?(name|id)$|signal$|variable$", re.IGNORECASE)
@@ -17,6 +21,7 @@ def mixed_tags(
     rows: slice = slice(None),
     most_tags: float = 0.125,
     fewest_repeats: float = 0.02,
+    most_runs: float = 0.125,
 ) -> list[str]:
     """A sentence on the tags whose rows are mixed in a table, and what to do; none if none are.
 
@@ -32,6 +37,8 @@ def mixed_tags(
         most_tags: of the rows; with more of them a column of text holds remarks.
         fewest_repeats: of the rows, in which time does not increase; fewer are faults of a clock,
             or an hour that is put back.
+        most_runs: of the steps of a tag, at which its time goes back, as in the rows of several
+            runs below each other; with more, rows are not sorted.
     """
     if clock is None or table.columns[clock].dtype.kind not in "Mmiuf":
         return []
@@ -52,9 +59,43 @@ def mixed_tags(
         is_mixed = np.sum(tags[1:] != tags[:-1]) >= len(names) or restarts
         if not (is_mixed and 1 < len(names) <= most_tags * len(tags)):
             continue
-        if all(np.all(np.diff(stamps[tags == name]) > zero) for name in names):
-            listed = ", ".join(names[:5]) + (", …" if names[5:] else "")
-            sentence = f"The rows of {counted(len(names), 'tag')} are mixed, which `{key}` tells "
-            sentence += f"apart ({listed}): give each a column of its own, as `pivot(index="
-            return [f"{sentence}{clock!r}, columns={key!r}, values=…)` of pandas does."]
+        own_steps = [np.diff(stamps[tags == name]) for name in names]
+        if not all(
+            np.all(step != zero) and np.mean(step < zero) <= most_runs for step in own_steps
+        ):
+            continue
+        listed = ", ".join(names[:5]) + (", …" if names[5:] else "")
+        sentence = f"The rows of {counted(len(names), 'tag')} are mixed, which `{key}` tells apart "
+        sentence += f"({listed}): give each a column of its own, as `pivot(index="
+        index = [*_runs(table, clock), clock]
+        index_text = repr(index if len(index) > 1 else clock)
+        return [f"{sentence}{index_text}, columns={key!r}, values=…)` of pandas does."]
     return []
+
+
+def found_clock(
+    table: Table, numbers: Mapping[str, Float[np.ndarray, " time"]], column: str | None = None
+) -> Clock:
+    """The clock of a table; of one with mixed tags also a time that repeats between them.
+
+    Args:
+        table: contents of a file.
+        numbers: its columns of numbers and dates, in float64.
+        column: the time as the caller says; None: the most likely one.
+    """
+    clock = find_clock(table, numbers, column)
+    tagged = (key for key in numbers if is_called_time(key) and mixed_tags(table, key))
+    repeated = None if clock.column else next(tagged, None)
+    if repeated is None:
+        return clock
+    clock = find_clock(table, numbers, repeated)
+    why = clock.why.replace(NAMED, "its name says so, and it repeats between tags")
+    return replace(clock, why=why)
+
+
+def _runs(table: Table, clock: str) -> list[str]:
+    """The column that numbers the runs, as of subjects: it changes where the time goes back."""
+    stamps = table.columns[clock]
+    columns = (name for name in table.columns if name != clock)
+    numbers = (name for name in columns if table.columns[name].dtype.kind in "iuf")
+    return [name for name in numbers if numbers_runs(table.columns[name], stamps)][:1]

@@ -34,6 +34,22 @@ def test_rows_of_several_tags_are_told_with_what_to_do(tmp_path, order, ascendin
     assert "rows of 2 tags are mixed" in " ".join(inspect(path).advice)
 
 
+def test_tags_of_several_subjects_are_told_too(tmp_path):
+    """Here time neither increases in most rows nor begins anew with each tag."""
+    path = tmp_path / "study.csv"
+    rows = [(k, t, tag) for k in (1, 2) for t in range(12) for tag in ("glucose", "insulin")]
+    frame = pd.DataFrame(rows, columns=["id", "time", "variable"])
+    frame.assign(value=np.sin(np.arange(len(rows)))).to_csv(path, index=False)
+    said = r"pivot\(index=\['id', 'time'\], columns='variable', values=…\)"
+    with pytest.raises(ValueError, match=said):
+        read_record(path, "time", (), "value")
+    inspection = inspect(path)
+    assert inspection.clock.column == "time"
+    assert inspection.clock.why.startswith("its name says so, and it repeats between tags")
+    assert inspection.inputs == ()
+    assert any("2 tags are mixed" in advice for advice in inspection.advice)
+
+
 def test_rows_of_a_single_tag_may_be_read(tmp_path):
     path = long_form(tmp_path / "log.csv", ["Tag", "Time"])
     assert len(read_record(path, "Time", (), "Value", slice=(0, 100))) == 100
