@@ -471,6 +471,15 @@ def _is_set(steps: Float[np.ndarray, " steps"], quantum: float | None) -> bool:
     return float(np.mean(changes > 1.5 * quantum)) > _SETTINGS.set_levels
 
 
+def _distinct(notes: Sequence[str]) -> list[str]:
+    """Notes without repeats; what is masked besides, of a single channel, is said elsewhere."""
+    shortest: dict[str, str] = {}
+    for note in notes:
+        start = note.partition(";")[0].removesuffix(".")
+        shortest[start] = min(shortest.get(start, note), note, key=len)
+    return list(shortest.values())
+
+
 def _advice(channels: Sequence[Channel], clock: Clock, samples: int) -> list[str]:
     """Sentences on what a user should check first."""
     by_role = {
@@ -489,7 +498,7 @@ def _advice(channels: Sequence[Channel], clock: Clock, samples: int) -> list[str
         )
     moving = [*by_role["output"], *by_role["input"]]
     if not count:
-        advice += dict.fromkeys(note for channel in moving for note in channel.notes)
+        advice += _distinct([note for channel in moving for note in channel.notes])
     if not by_role["input"]:
         advice.append("No column looks like an input: a free system, or it must be named by hand.")
     if not by_role["output"]:

@@ -35,8 +35,8 @@ _PARTLY = (
 )
 
 _DENIED = (
-    "{} explains {:.1%} of the residual's power, but the held-out records do not confirm it: with "
-    "it the error on them grows. Hold out a record that moves as those of the fit do"
+    "{} would explain {:.1%} of the residual's power, but the held-out records do not confirm it: "
+    "with it the error on them grows. Hold out a record that moves as those of the fit do"
 )
 
 

@@ -547,7 +547,7 @@ _REFINED = FitNote(
     "passes"
 )
 _AS_GOOD = (
-    "{} explains the injection, but without it the declared model, refined, predicts the held-out "
+    "{} would explain the injection, but without it the declared model, refined, predicts held-out "
     "records as well"
 )
 _HINT = (

@@ -382,10 +382,11 @@ _WIDER_LAW = "{} would take {:.1%} of the residual's power, and do no better in 
 _NOT_SIMULATED = "the effects that fit the records cannot be confirmed: no free run has them"
 _NO_SIZE = "the records do not tell the size of the effects that fit them"
 _UNSIZED = (
-    "refused: {} takes {:.1%} of the residual's power, but the records do not tell the size of {}"
+    "refused: {} would take {:.1%} of the residual's power, but the records do not tell the size "
+    "of {}"
 )
-_UNCHECKED = "refused: {} takes {:.1%} of the residual's power, but has no free run: {}"
-_REFUSED = "refused: {} makes the free run worse or diverge on the records of `validation`"
+_UNCHECKED = "refused: {} would take {:.1%} of the residual's power, but there is no free run: {}"
+_REFUSED = "refused: {} would make free runs on the records of `validation` worse or diverge"
 
 
 def _notes(task: Task) -> list[str]:

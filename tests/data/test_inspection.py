@@ -572,6 +572,16 @@ def test_of_several_files_the_last_is_held_out(tmp_path):
         draft([inspect(files[0]), inspect(other)], target)
 
 
+def test_a_note_on_resampling_is_given_once_whatever_cells_are_empty(tmp_path):
+    t = T + 0.2 * T[1] * np.random.default_rng(0).random(N)
+    file = written(
+        tmp_path / "run.csv", t=t, u=U, y=Y, z=np.where(np.arange(N) < N // 9, np.nan, Y)
+    )
+    advice = [line for line in inspect(file).advice if "resampled from" in line]
+    assert len(advice) == 1
+    assert "masked" not in advice[0]
+
+
 @pytest.mark.parametrize(
     ("name", "unit"),
     [

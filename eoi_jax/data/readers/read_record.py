@@ -376,7 +376,8 @@ def _date_notes(
     stamps = picked[clock][rows]
     said = [note for note in table.notes if note.startswith(f"`{clock}` {TIMES_OF_DAY}")]
     if table.columns[clock].dtype.kind != "M":
-        return said if scaled else [*said, *date_hints(clock, stamps)]
+        in_seconds = scaled or declared_unit(clock, table.units.get(clock, "")) is not None
+        return said if in_seconds else [*said, *date_hints(clock, stamps)]
     dates = {key: values for key, values in table.columns.items() if values.dtype.kind == "M"}
     times = [key for key, values in dates.items() if not are_days(values)]
     twice = are_days(dates[clock]) and bool(np.any(np.diff(stamps) == 0))

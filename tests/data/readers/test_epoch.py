@@ -41,6 +41,8 @@ def test_dates_in_days_are_told_where_they_are_read_in_seconds(tmp_path, first, 
     assert record.sample_period == pytest.approx(60.0)
     assert not any("in days" in note for note in record.notes)
     assert inspect(path).clock.sample_period == pytest.approx(60.0, rel=1e-4)
+    path.write_text("t [s],u,y\n" + rows)
+    assert not any("in days" in note for note in eoi.read_record(path, "t [s]", "u", "y").notes)
 
 
 def test_local_dates_that_have_an_hour_twice_are_refused_with_the_reason(tmp_path):
