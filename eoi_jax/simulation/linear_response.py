@@ -165,15 +165,25 @@ def _by_sample(free: Array, forced: Array, substeps: int) -> tuple[Array, Array]
         [(1.0 - stages) * (1.0 - 2.0 * stages), 4.0 * stages * (1.0 - stages),
          stages * (2.0 * stages - 1.0)], axis=-1
     )  # fmt: skip
-    a = jnp.broadcast_to(jnp.eye(free.shape[-1]), free[:, ::substeps].shape)
-    b = jnp.zeros_like(forced[:, ::substeps])
-    for i, weights in enumerate(parabola):
-        transition, push = free[:, i::substeps], forced[:, i::substeps]
+
+    def by_step(array: Array) -> Array:
+        runs, rows, *shape = array.shape
+        split = jnp.reshape(array, (runs, rows // substeps, substeps, *shape))
+        return jnp.moveaxis(split, 2, 0)
+
+    def step(product: tuple[Array, Array], row: tuple[Array, ...]) -> tuple[Any, None]:
+        (a, b), (transition, push, weights) = product, row
         b = jnp.einsum("ktmn,ktnsj->ktmsj", transition, b) + jnp.einsum(
             "ktnij,is->ktnsj", push, weights
         )
-        a = _product(transition, a)
-    return a, b
+        return (_product(transition, a), b), None
+
+    free, forced = by_step(free), by_step(forced)
+    start = jnp.broadcast_to(jnp.eye(free.shape[-1]), free[0].shape), jnp.zeros_like(forced[0])
+    # Two at a time, of which most runs have few. All at once, XLA needs seconds from 50 on, and
+    # overflows its stack at a thousand.
+    product, _ = jax.lax.scan(step, start, (free, forced, jnp.asarray(parabola)), unroll=2)
+    return product
 
 
 @jit

@@ -85,3 +85,16 @@ def test_many_forces_go_as_well_as_one():
     assert together.shape == (1, SAMPLES + 1, 1, 37)
     assert np.allclose(together[..., 36:], along.to(forces[..., 36:], 0), rtol=1e-12)
     assert np.allclose(together[..., 16:17], along.to(forces[..., 16:17], 0), rtol=1e-12)
+
+
+def test_a_thousand_steps_of_a_sample():
+    """Unrolled, they overflowed the stack of XLA's compiler: the process ended without an error."""
+    decaying = eoi.Plant(lambda t, x, u, p: -p.rate * x.y[0], {"rate": 1.0}, 1, ())
+    runs, samples, substeps, period = 12, 27, 1024, 0.2
+    still = np.zeros((runs, samples * substeps, 1, 1))
+    nothing = np.zeros((runs, samples * substeps, 3, 0)), still, still[:, :, 0, :0]
+    steps = np.full(runs, period / substeps)
+    along = response_of(decaying, still[:, :, 0, 0], *nothing, steps, substeps)
+    assert np.allclose(along.free, np.exp(-period), rtol=1e-9)
+    moved = along.to(np.ones((runs, samples, 3, 1)), 0)
+    assert np.allclose(moved[:, -1], 1.0 - np.exp(-period * samples), rtol=1e-9)
