@@ -199,7 +199,7 @@ def _certainty(fit: Fit, plant: Plant, bound: Sequence[str], spans: Sequence[Spa
     names = [plant.names[i] for i in free]
     loose = np.asarray([float(name not in bound) for name in names])
     start_size = fit.sensitivities.shape[-1] - 1 - len(free)
-    rows, scores = zip(
+    rows, scores, sizes = zip(
         *(
             _run_scores(run[: span.count + 1], start_size, float(fit.problem.threshold))
             for run, span in zip(fit.sensitivities, spans, strict=True)
@@ -213,7 +213,12 @@ def _certainty(fit: Fit, plant: Plant, bound: Sequence[str], spans: Sequence[Spa
     square = flat.T @ flat
     solution = least_squares(square, np.zeros(len(names)), loose)
     small, small_freedom = covariance_of_estimate(
-        scores, rows, np.asarray(solution.inverse), lengths.tolist(), _residuals(fit)
+        scores,
+        rows,
+        np.asarray(solution.inverse),
+        lengths.tolist(),
+        _residuals(fit),
+        sum(sizes) + int(np.sum(loose)),
     )
     freedom[free] = small_freedom
     small[loose == 0] = small[:, loose == 0] = np.nan
@@ -229,8 +234,11 @@ def _residuals(fit: Fit) -> list[np.ndarray]:
 
 def _run_scores(
     sensitivities: Float[np.ndarray, "time ny size"], start_size: int, threshold: float
-) -> tuple[Float[np.ndarray, "time ny free"], Float[np.ndarray, "time free"]]:
-    """Rows and scores of one run, in what its initial state leaves of the columns of θ."""
+) -> tuple[Float[np.ndarray, "time ny free"], Float[np.ndarray, "time free"], int]:
+    """Rows and scores of one run, in what its initial state leaves of the columns of θ.
+
+    Beside them the number of initial values that were fitted.
+    """
     rows = sensitivities.reshape(-1, sensitivities.shape[-1])
     starts, theta, error = rows[:, :start_size], rows[:, start_size:-1], rows[:, -1]
     own_space = orthonormal(starts, 1e-10)
@@ -238,7 +246,7 @@ def _run_scores(
     inliers = projected * (np.abs(error) <= threshold)[:, None]
     score = projected * np.clip(error, -threshold, threshold)[:, None]
     shape = *sensitivities.shape[:2], projected.shape[1]
-    return inliers.reshape(shape), np.sum(score.reshape(shape), axis=1)
+    return inliers.reshape(shape), np.sum(score.reshape(shape), axis=1), own_space.shape[1]
 
 
 def _status(

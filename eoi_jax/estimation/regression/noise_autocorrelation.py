@@ -2,8 +2,9 @@ r"""Tests of coloured residuals: whitened by a known spectrum, then tested as wh
 
 Missing samples are NaN; only results that need them are missing too.
 
-**Sources.** Ljung and Box, Biometrika 65 (1978) 297; Box and Jenkins, *Time Series Analysis*
-(whitening before cross-correlation); Newey and West, Econometrica 55 (1987) 703 (errors of means).
+**Sources.** Ljung and Box, Biometrika 65 (1978) 297; Durbin and Watson, Biometrika 37 (1950) 409;
+Box and Jenkins, *Time Series Analysis* (whitening before cross-correlation);
+Newey and West, Econometrica 55 (1987) 703 (errors of means).
 """
 
 from collections.abc import Sequence
@@ -97,6 +98,25 @@ def ljung_box(parts: Sequence[np.ndarray]) -> tuple[Float[np.ndarray, " lag"], f
     used = (np.arange(LAGS) < total // 5) & (counts > 0)
     statistic = np.sum(((total + 2.0) / total * counts * rho**2)[used])
     return rho, float(gammaincc(0.5 * np.sum(used), 0.5 * statistic))
+
+
+def lag_one(parts: Sequence[np.ndarray], estimated: int) -> float:
+    """p-value of a correlation at lag 1 above that which a fit leaves of white noise.
+
+    One-sided, and of any number of samples: of n of them a fit of slow regressors leaves white
+    noise a correlation of -p/n, which scatters by 1/√n.
+
+    Source: J. Durbin, G. Watson, Biometrika 37 (1950) 409, with the moments of slow regressors.
+
+    Args:
+        parts: residuals, NaN where missing.
+        estimated: p, how many numbers were fitted, initial values too.
+    """
+    from scipy.special import ndtr
+
+    total = sum(int(np.sum(np.isfinite(part))) for part in parts)
+    (rho,), (count,) = correlations([(part, part) for part in parts], [1])
+    return float(ndtr(-(rho + estimated / max(total, 1)) * np.sqrt(count)))
 
 
 def largest(rho: np.ndarray, counts: np.ndarray, tested: np.ndarray) -> tuple[float, float, int]:

@@ -40,11 +40,21 @@ and D_i keeps a single sample: c_t = Φ_tᵀe_t, O_t = Φ_tᵀΦ_t, and W is dia
 is right where residuals of different times are uncorrelated. `covariance_of_estimate` takes it
 where nothing speaks against that: neither the portmanteau test of the residuals, which sees what is
 short, nor the ratio of both variances of a parameter, which sees what is as slow as the regressors.
+Below 50 samples a portmanteau test sees too little, and the correlation at lag 1 is tested, for a
+positive one: a negative one only makes errors smaller. Of two parameters that decay, 3000 records
+each, so many of 100 intervals of 95 % hold the truth (the scatter over the median error of white
+noise falls from 1.5 to 1.2 of 12 samples, from 1.4 to 1.1 of 25 and more):
+
+| samples | white: `long_run`, with the test | AR(1) of 0.5: `long_run`, with the test, as white |
+|---|---|---|
+| 12 | 95, 96 | 94, 92, 78 |
+| 25 | 96, 97 | 95, 94, 75 |
+| 49 | 95, 97 | 95, 95, 75 |
 
 **Sources.** E. Lazarus, D. Lewis, J. Stock, M. Watson, Journal of Business & Economic Statistics 36
 (2018) 541 (equal-weighted cosines, and B); R. Bell, D. McCaffrey, Survey Methodology 28 (2002) 169
 (both corrections, there for clusters in place of cosines); G. Ljung, G. Box, Biometrika 65 (1978)
-297 (portmanteau test).
+297 (portmanteau test); J. Durbin, G. Watson, Biometrika 37 (1950) 409 (lag 1).
 """
 
 from collections.abc import Iterator, Sequence
@@ -55,7 +65,7 @@ import numpy as np
 from jaxtyping import Float
 from numpy.lib.stride_tricks import sliding_window_view
 
-from eoi_jax.estimation.regression.noise_autocorrelation import ljung_box
+from eoi_jax.estimation.regression.noise_autocorrelation import lag_one, ljung_box
 from eoi_jax.estimation.regression.orthonormal import informative_directions
 
 
@@ -67,6 +77,7 @@ class LongRunSettings:
     max_cosines: int = 1000  # beyond, all variances have the degrees of freedom of the cosines
     min_share: float = 0.05  # of a score left by the estimate, for which it is scaled up
     white_level: float = 0.2  # of both tests: an AR(1) of 0.3 in 50 samples keeps 93 % of 95 %
+    lag_one_level: float = 0.4  # of that of fewer: an AR(1) of 0.5 in 16 samples keeps 90 %
 
 
 _SETTINGS = LongRunSettings()
@@ -142,6 +153,7 @@ def covariance_of_estimate(
     inverse: Float[np.ndarray, "np np"],
     lengths: Sequence[int],
     residuals: Sequence[np.ndarray],
+    estimated: int,
 ) -> tuple[Float[np.ndarray, "np np"], Float[np.ndarray, " np"]]:
     """That of `uncorrelated` where the residuals pass as white, else that of `long_run`.
 
@@ -151,11 +163,12 @@ def covariance_of_estimate(
         inverse: I⁻¹.
         lengths: samples of each record.
         residuals: of each output of each run, (samples,), of equal size; NaN where not scored.
+        estimated: how many numbers were fitted, initial values too.
     """
     from scipy.special import fdtrc
 
     robust, freedom = long_run(scores, rows, inverse, lengths)
-    if not ljung_box(residuals)[1] > _SETTINGS.white_level:
+    if not _pass_as_white(residuals, estimated):
         return robust, freedom
     white, white_freedom = uncorrelated(scores, rows, inverse)
     varies = np.diagonal(white) > 0
@@ -163,6 +176,14 @@ def covariance_of_estimate(
     chance = fdtrc(freedom[varies], white_freedom[varies], ratio) * np.sum(varies)
     is_white = bool(np.all(chance > _SETTINGS.white_level))
     return (white, white_freedom) if is_white else (robust, freedom)
+
+
+def _pass_as_white(residuals: Sequence[np.ndarray], estimated: int) -> bool:
+    """Whether the portmanteau test, or of few samples that of lag 1, finds no correlation."""
+    _, chance = ljung_box(residuals)
+    if np.isnan(chance):
+        return lag_one(residuals, estimated) > _SETTINGS.lag_one_level
+    return chance > _SETTINGS.white_level
 
 
 def _exact(inverse: Float[np.ndarray, "np np"]) -> tuple[np.ndarray, np.ndarray]:

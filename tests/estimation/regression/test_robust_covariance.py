@@ -304,6 +304,27 @@ def test_few_samples_are_covered_and_white_ones_with_steady_errors(a: float, lea
         assert np.max(scatter) < 0.4
 
 
+@pytest.mark.parametrize(("a", "least"), [(0.0, 0.95), (0.5, 0.92)])
+def test_below_fifty_samples_white_residuals_give_steady_errors_and_coloured_ones_coverage(
+    a: float, least: float
+):
+    """Without a test of so few, scatter over median error is 1.4; as if white, 75 % are covered."""
+    rng = np.random.default_rng(0)
+    time = np.linspace(0.0, 1.0, 25)
+    flat = np.stack([np.exp(-3.0 * time), time * np.exp(-3.0 * time)], axis=1)
+    inverse = np.linalg.inv(flat.T @ flat)
+    held, errors, estimates = [], [], []
+    for _ in range(TRIALS):
+        noise = ar1(a, 25, rng)
+        estimates.append(inverse @ flat.T @ noise)
+        covariance, freedom = of_estimate(flat, inverse, noise - flat @ estimates[-1])
+        errors.append(np.sqrt(np.diagonal(covariance)))
+        held.append(np.abs(estimates[-1]) < student(0.95, freedom) * errors[-1])
+    assert np.min(np.mean(held, axis=0)) > least - 3 * SIGMA
+    if a == 0.0:
+        assert np.max(np.std(estimates, axis=0) / np.median(errors, axis=0)) < 1.2
+
+
 def few_rows(rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
     """62 rows of two parameters that decay and rise, and I⁻¹."""
     rows = two_outputs(31, rng)[0][:, 0]
@@ -315,7 +336,9 @@ def of_estimate(
     flat: np.ndarray, inverse: np.ndarray, residual: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
     scores = residual[:, None] * flat
-    return covariance_of_estimate(scores, flat[:, None], inverse, [len(flat)], [residual])
+    return covariance_of_estimate(
+        scores, flat[:, None], inverse, [len(flat)], [residual], len(inverse)
+    )
 
 
 def is_robust(flat: np.ndarray, inverse: np.ndarray, residual: np.ndarray) -> bool:
