@@ -132,15 +132,21 @@ def start_samples(record: Record, required: int, usual: int = 50, share: float =
 
     Returns:
         `usual`, less in a short record, but three times as many as are required and three; on a
-        grid that is finer than the samples, the steps in which there are so many; more where an
-        output is measured so rarely that fewer than one more than the required ones would lie
-        among them.
+        grid that is finer than the samples, the steps in which there are so many, also where they
+        lie closer together at the start; more where an output is measured so rarely that fewer than
+        one more than the required ones would lie among them.
     """
     longest = max((stop - start for start, stop in record.input_segments()), default=len(record))
     step = steps_between_samples([record])
     count = step * min(usual, max(int(share * longest / step), 3 * required + 3))
     periods = np.round(record.output_periods / record.sample_period, 6)
-    return int(np.ceil(max(count, (required + 1) * np.max(periods))))
+    count = max(count, (required + 1) * np.max(periods))
+    ends = []
+    for valid in record.output_valid.T:
+        places = np.flatnonzero(valid)
+        wanted = min(usual, max(int(share * len(places)), 3 * required + 3))
+        ends.append(places[wanted] if wanted < len(places) else len(record))
+    return int(np.ceil(min(count, max(ends))))
 
 
 def driven_parts(record: Record, shortest: int = 2) -> list[tuple[int, Record]]:

@@ -344,7 +344,7 @@ def _remarks(result: Identification | Refinement, *reasons: str) -> tuple[str, .
 def validation_text(result: Validation) -> str:
     """Errors of the free run, a line for each output; then notes."""
     width = max(len("output"), *(len(key) for key in result.outputs))
-    scored = timed(result.scored, _mean_period(result.predictions))
+    scored = f"{counted(result.scored, 'sample')} ({_scored_time(result):.5g} s)"
     runs = "Free run" if result.window is None else f"Free runs in windows of {result.window:g} s"
     lines = [
         f"{runs}, {counted(len(result.predictions), 'record')}, {scored} scored",
@@ -356,6 +356,14 @@ def validation_text(result: Validation) -> str:
         for key, rmse, nrmse, fit, unit in rows
     ]
     return "\n".join([*lines, *(f"Note: {note}" for note in result.notes)])
+
+
+def _scored_time(result: Validation) -> float:
+    """Time over which samples are scored [s], however few were measured in it."""
+    if not result.scored_at:  # of an earlier version
+        return result.scored * _mean_period(result.predictions)
+    pairs = zip(result.scored_at, result.predictions, strict=True)
+    return sum(float(np.sum(mask)) * record.sample_period for mask, record in pairs)
 
 
 def profile_text(result: Profile) -> str:

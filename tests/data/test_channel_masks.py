@@ -227,3 +227,15 @@ def test_the_start_of_a_run_has_as_many_samples_on_a_finer_grid():
 def test_an_output_with_few_samples_is_named():
     with pytest.raises(ValueError, match="at least 8 finite samples of every channel, got 5 of y2"):
         eoi.Record(TIME, np.cos(TIME), every(80))
+
+
+def test_the_start_of_a_run_ends_where_samples_that_become_rarer_suffice():
+    """At 0, 0.25, 0.5, 1, … 24: a start of so many mean distances had nine of the twelve."""
+    times = np.array([0, 0.25, 0.5, 1, 1.5, 2, 3, 4, 6, 8, 12, 24])
+    record = eoi.Record(times, np.zeros((12, 0)), np.exp(-times))
+    head = start_samples(record, 1)
+    assert record.time[head] == 3.0  # six of them are before
+    plant = eoi.plant_from_text({"y": "-k*y"}, {"k": 1.0}, ["y"])
+    result = eoi.validate(plant, record)
+    assert result.scored == 6
+    assert "6 samples (21.25 s) scored" in str(result)

@@ -196,6 +196,7 @@ def fake_validation(found: eoi.Identification, seed: int = 11) -> eoi.Validation
     return replace(
         held, rmse=numbers(seed, 2), nrmse=0.01 * numbers(seed + 1, 2),
         fit=np.array([91.23, 45.67]) - seed, scored=1234,
+        scored_at=(),
     )  # fmt: skip
 
 

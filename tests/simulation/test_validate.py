@@ -6,6 +6,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from eoi_jax import plant_from_text
 from eoi_jax._checks import RecordWarning
 from eoi_jax.data.record import Record
 from eoi_jax.data.windows import plan
@@ -228,6 +229,13 @@ def test_wrong_calls_name_field_rule_and_value(change, message):
     call = {"records": swing()} | change
     with pytest.raises(ValueError, match=message):
         validate(mass_spring_damper(), **call)
+
+
+def test_too_few_first_samples_name_the_internal_states():
+    plant = plant_from_text({"z": "-k*z"}, {"k": 1.0}, ["y"], output={"y": "z"}, initial={"z": 1.0})
+    record = Record(0.1 * np.arange(100), np.zeros((100, 0)), np.exp(-0.1 * np.arange(100)))
+    with pytest.raises(ValueError, match=r"must exceed 2, .* and of internal states, whose"):
+        validate(plant, record, initial_samples=2)
 
 
 def test_channels_must_match_the_plant():
