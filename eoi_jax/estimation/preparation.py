@@ -248,7 +248,8 @@ def smoothed(plant: Plant, record: Record, cutoff: float) -> Record:
     """Outputs behind a zero-phase low-pass, and with them the inputs in which the plant is affine.
 
     Those the plant passes on as the filter does. Of any other the filtered square, say, is not the
-    square of what is filtered: it stays as it is, and F, far below the cut-off, sees no difference.
+    square of what is filtered, nor the filtered ramp that of a limited rate: it stays as it is, and
+    F, far below the cut-off, sees no difference.
 
     Args:
         plant: the model.

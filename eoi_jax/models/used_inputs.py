@@ -8,6 +8,7 @@ import numpy as np
 from jaxtyping import Bool
 
 from eoi_jax.compiler.pointwise import along
+from eoi_jax.models.actuators import are_linear
 from eoi_jax.models.plant import Plant, State
 
 
@@ -28,7 +29,7 @@ def used_inputs(plant: Plant, points: int = 16) -> Bool[np.ndarray, "ny nu"]:
 
 
 def affine_inputs(plant: Plant, points: int = 16) -> Bool[np.ndarray, " nu"]:
-    """In which inputs, behind the actuator, the plant is affine, whatever its state.
+    """In which inputs the plant is affine, whatever its state, with an actuator that is linear.
 
     Arguments are those of `used_inputs`. Two that stand in a product are no such inputs.
     """
@@ -41,7 +42,8 @@ def affine_inputs(plant: Plant, points: int = 16) -> Bool[np.ndarray, " nu"]:
     )
     with np.errstate(invalid="ignore"):
         equal = np.abs(first - second) <= 1e-9 * np.maximum(np.abs(first), np.abs(second))
-    return np.all(equal | (np.isnan(first) & np.isnan(second)), axis=(0, 1))
+    affine = np.all(equal | (np.isnan(first) & np.isnan(second)), axis=(0, 1))
+    return affine & np.asarray(are_linear(plant.actuator, len(plant.inputs)))
 
 
 def product_inputs(plant: Plant, points: int = 16) -> Bool[np.ndarray, "ny nu"]:

@@ -5,6 +5,8 @@ import numpy as np
 import pytest
 
 import eoi_jax as eoi
+from eoi_jax.models.augmented import augmented, place
+from eoi_jax.models.effects import ActuatorLag, InputPlay, RateLimit
 from eoi_jax.models.effects.products import input_actions
 from eoi_jax.models.used_inputs import affine_inputs, product_inputs, used_inputs
 
@@ -53,3 +55,14 @@ def test_an_input_that_only_multiplies_others_is_in_products_alone():
     duty, supply = input_actions(plant)
     assert [duty.fits(plant, j) for j in (0, 1)] == [True, True]
     assert [supply.fits(plant, j) for j in (0, 1)] == [False, True]
+
+
+@pytest.mark.parametrize(
+    ("effect", "affine"), [(ActuatorLag(), True), (RateLimit(), False), (InputPlay(), False)]
+)
+def test_a_plant_is_affine_in_an_input_with_a_linear_actuator_only(effect, affine):
+    """Of a smoothed command a limit of the rate is not the smoothed ramp."""
+    plant = eoi.Plant(lambda t, x, u, p: p.a * u[0] + u[1], {"a": 1.0}, inputs=("u", "w"))
+    at = place(plant, effect, 0)
+    plant = augmented(plant, [at], dict.fromkeys(at.names, 0.5))
+    assert tuple(affine_inputs(plant)) == (affine, True)

@@ -365,9 +365,11 @@ def _smoothing(lead: Any, lag: Any, period: Any, xp: Any) -> Any:
 
 
 class RateLimit(AbstractActuator):
-    """dz/dt = ±R until z = u: an actuator that moves no faster; at rest at the start of the record.
+    """dz/dt = ±R until z = u: an actuator that moves no faster.
 
-    A servo, a valve with its motor, a controller that ramps its set point.
+    A servo, a valve with its motor, a controller that ramps its set point. At the start of the
+    record z is at u: of one that is on its way there the first ramp is missing, which is no level
+    before the record that could be estimated by its slope. Leave out the time until it has arrived.
     """
 
     name = "rate_limit"
@@ -417,6 +419,7 @@ class InputPlay(AbstractActuator):
     depends_on = "t"
     only_in_free_runs = True
     keeps_steps = True
+    is_linear = False
 
     def shows(self, seen: Seen) -> bool:
         return bool(np.ptp(seen.u))
