@@ -54,6 +54,12 @@ class CommonFactorSettings:
 _SETTINGS = CommonFactorSettings()
 
 
+_SWITCHES = (
+    "it stands in a condition alone, which jumps, so that a small change of it changes no output; "
+    "write a delay of an input (`input_delay`) or a smooth switch, as 0.5*(1 + tanh((t - t0)/w))"
+)
+
+
 @dataclass(frozen=True)
 class CommonFactor:
     """Parameters that no record determines, each by itself.
@@ -64,17 +70,22 @@ class CommonFactor:
             products and no sums of small whole weights are.
         fix: a parameter with which, fixed, the equations determine the others; of several such
             changes one for each.
+        switches: whether the equations depend on it in a condition alone, as ``t > delay``: every
+            derivative is zero, though outputs change.
     """
 
     parameters: tuple[str, ...]
     combinations: tuple[str, ...]
     fix: tuple[str, ...]
+    switches: bool = False
 
     @property
     def sentence(self) -> str:
         """What is wrong, and what to do about it."""
         names = listed(self.parameters)
         advice = f"fix {listed(self.fix)} (`fixed = {_quoted(self.fix)}`)"
+        if self.switches:
+            return f"no derivative by {names}: {_SWITCHES}, or {advice}"
         if not self.combinations and len(self.parameters) == len(self.fix):
             return f"no trace in the data of {names}: no output depends on it, {advice}"
         text = f"{names} have a common factor and cannot be told apart by any record"
@@ -112,9 +123,9 @@ def common_factors(plant: Plant) -> tuple[CommonFactor, ...]:
             directions, theta[order], names, _SETTINGS.tolerance
         )
         parameters = tuple(name for name in plant.names if name in involved)
-        factors.append(
-            CommonFactor(parameters, combinations, tuple(names[pivots[k]] for k in group))
-        )
+        fix = tuple(names[pivots[k]] for k in group)
+        switches = len(parameters) == 1 and _switches(plant, theta, parameters[0])
+        factors.append(CommonFactor(parameters, combinations, fix, switches))
     return tuple(factors)
 
 
@@ -147,6 +158,20 @@ def _probe_parameters(plant: Plant) -> Float[np.ndarray, " np"]:
 def _conditions(plant: Plant, theta: Float[np.ndarray, " np"]) -> Float[np.ndarray, "rows columns"]:
     """The matrix whose null space holds (d, ζ, η), of the free parameters."""
     nz = len(plant.initial_internal)
+    rows = _rows(plant, theta, *_probes(plant, theta))
+    start = np.asarray(_start_rows(plant, jnp.asarray(theta)))
+    actuated = _actuator_rows(plant, theta)
+    matrix = np.concatenate([rows.reshape(-1, rows.shape[-1]), start, actuated])
+    columns = np.concatenate([np.asarray(plant.free) > 0, np.ones(2 * nz, bool)])
+    matrix = matrix[:, columns]
+    return matrix[np.all(np.isfinite(matrix), axis=1)]
+
+
+def _probes(
+    plant: Plant, theta: Float[np.ndarray, " np"]
+) -> tuple[tuple[np.ndarray, ...], Float[np.ndarray, "probes nz"]]:
+    """Times, outputs and inputs, and internal states."""
+    nz = len(plant.initial_internal)
     r, ny, nu = plant.rows, len(plant.outputs), len(plant.inputs)
     draw = np.random.default_rng(_SETTINGS.seed)
     low, high = np.log(_SETTINGS.magnitudes)
@@ -157,13 +182,18 @@ def _conditions(plant: Plant, theta: Float[np.ndarray, " np"]) -> Float[np.ndarr
     points *= draw.choice([-1.0, 1.0], points.shape)
     time, points = np.abs(points[:, 0]), points[:, 1:]
     y, u, z = np.split(points, [r * ny, r * ny + nu], axis=1)
-    rows = _rows(plant, theta, (time, y.reshape(-1, r, ny), u), z)
-    start = np.asarray(_start_rows(plant, jnp.asarray(theta)))
-    actuated = _actuator_rows(plant, theta)
-    matrix = np.concatenate([rows.reshape(-1, rows.shape[-1]), start, actuated])
-    columns = np.concatenate([np.asarray(plant.free) > 0, np.ones(2 * nz, bool)])
-    matrix = matrix[:, columns]
-    return matrix[np.all(np.isfinite(matrix), axis=1)]
+    return (time, y.reshape(-1, r, ny), u), z
+
+
+def _switches(plant: Plant, theta: Float[np.ndarray, " np"], name: str) -> bool:
+    """Whether half or twice a parameter without a derivative changes the equations."""
+    axes, (probes, z) = ("fixed", "rows", "fixed", "rows"), _probes(plant, theta)
+    at = plant.names.index(name)
+    values = (
+        np.where(np.arange(len(theta)) == at, size * theta, theta) for size in (1.0, 0.5, 2.0)
+    )
+    rates, *others = (along(_rates, axes, plant, probes, value, z) for value in values)
+    return any(not np.array_equal(rates, moved, equal_nan=True) for moved in others)
 
 
 def _rows(

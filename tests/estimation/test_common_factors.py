@@ -47,6 +47,14 @@ def test_products_sums_and_what_has_no_effect():
     assert len(factors) == 3
 
 
+def test_a_parameter_of_a_condition_has_no_derivative_though_outputs_depend_on_it():
+    (factor,) = common_factors(body("-d*v + (u if t > late else 0)", d=3.0, late=0.6))
+    assert factor.sentence.startswith(
+        "no derivative by late: it stands in a condition alone, which jumps"
+    )
+    assert factor.sentence.endswith('(t - t0)/w)), or fix late (`fixed = ["late"]`)')
+
+
 def test_a_pendulum_of_unknown_mass_and_length():
     """m·l² alone is in it where only the torque of gravity is known beside."""
     equation = "({}*u - b*v - m*9.81*l*sin(y))/(m*l**2)"
