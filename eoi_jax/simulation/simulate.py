@@ -13,7 +13,7 @@ from jax import lax
 from jaxtyping import Array, Float
 from numpy.typing import ArrayLike
 
-from eoi_jax._checks import check, check_choice, check_count, check_kind, check_shape
+from eoi_jax._checks import check, check_choice, check_count, check_kind, check_shape, warn_caller
 from eoi_jax._types import Scalar, Theta
 from eoi_jax.compiler.jax_private import Tracer
 from eoi_jax.compiler.jax_setup import check_process
@@ -44,6 +44,7 @@ from eoi_jax.simulation.integrator import (
     rate_of,
 )
 from eoi_jax.simulation.step_size import RULES, finest_steps, mode_along
+from eoi_jax.simulation.time_jumps import time_jump
 
 Pieces = Float[np.ndarray, "steps order nu"]
 
@@ -87,6 +88,10 @@ def simulate(
         ValueError: a wrong shape, an unknown output, a grid that is not uniform, dry friction with
             the adaptive solver, a trajectory that is not finite (with the first time at which it is
             not), or numbers that JAX traces, of which `rollout` makes a free run.
+
+    Warns:
+        RuntimeWarning: equations that jump with time, which steps of the library's choice do not
+            resolve.
     """
     check_process()
     check_kind("plant", plant, Plant, "a Plant")
@@ -113,6 +118,9 @@ def simulate(
         if plant.has_algebraic:
             outputs = outputs_along(plant, time, State(np.asarray(y), np.asarray(z)), u)
     else:
+        jump = time_jump(plant, time) if substeps is None else None
+        if jump is not None:
+            warn_caller(_JUMP.format(jump), RuntimeWarning)
         outputs = _fixed(plant, time, u, used, start, substeps)
     bad = ~np.all(np.isfinite(outputs), axis=1)
     failure = f"NaN or infinity from t = {time[int(np.argmax(bad))]:g} s on"
@@ -128,6 +136,12 @@ def simulate(
         units={key: plant.units[key] for key in plant.inputs + plant.outputs if key in plant.units},
         hold=hold,
     )
+
+
+_JUMP = (
+    "The equations jump at t = {:.6g} s: the steps do not end there, and err by up to a step of "
+    'what jumps. Give more `substeps`, or `solver="adaptive"`, or write a smooth switch'
+)
 
 
 def _fixed(

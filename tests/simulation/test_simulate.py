@@ -722,3 +722,20 @@ def test_a_wrong_start_says_what_is_expected(initial, message):
     time = np.arange(0.0, 0.5, 0.01)
     with pytest.raises(ValueError, match=message):
         eoi.simulate(eoi.plants.mass_spring_damper(), time, np.zeros(50), initial=initial)
+
+
+def test_a_jump_of_the_equations_in_time_is_told():
+    time, still = np.arange(0.0, 3.0, 0.25), np.zeros((12, 0))
+    plant = eoi.plant_from_text({"y": "a*(t > 0.6) - y"}, {"a": 1.0}, ["y"])
+    with pytest.warns(RuntimeWarning, match=r"jump at t = 0.6 s.*Give more `substeps`"):
+        simulate(plant, time, still)
+    exact = np.where(time > 0.6, 1.0 - np.exp(0.6 - time), 0.0)
+    for result in (
+        simulate(plant, time, still, substeps=100),
+        simulate(plant, time, still, solver="adaptive"),
+    ):
+        np.testing.assert_allclose(result.outputs[:, 0], exact, atol=2e-3)
+    simulate(plant.with_parameters({"a": 0.0}), time, still)
+    for term in ("tanh(t/0.01)", "sin(8*pi*t)"):  # the last one alike at all samples
+        smooth = eoi.plant_from_text({"y": f"a*{term} - y"}, {"a": 1.0}, ["y"])
+        simulate(smooth, time, still)
