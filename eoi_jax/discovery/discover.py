@@ -14,7 +14,9 @@ r"""Find the effects that a model lacks from its residual, and add them.
    extended (`in_free_runs`), and curves are tried (`curves`).
 8. On request, refinement by output error, with effects that only the free runs show; without it
    where nothing is missing and the passes are biased (`refined`).
-9. Without held-out records an answer that is open is searched again, with the end of each record
+9. Where an answer leaves more than noise, records are compared: offsets, or parameters, that differ
+   from one to the next (`remainder`).
+10. Without held-out records an answer that is open is searched again, with the end of each record
    held out (`own_judge`).
 """
 
@@ -52,6 +54,7 @@ from eoi_jax.discovery.remainder import (
     changes_in_time,
     partial_where_more_is_left,
     with_differences,
+    with_differing_parameters,
     with_doubts,
 )
 from eoi_jax.discovery.requested import names_with_place, notes_without_place, requested
@@ -219,7 +222,12 @@ class _Search:
             searched = with_best_hold(search.on, records, held_out, indices)
         discovery = search.in_free_runs(searched, records, held_out)
         discovery = with_held_inputs(discovery, search.answered, records, held_out)
-        return with_differences(partial_where_more_is_left(discovery), records)
+        discovery = partial_where_more_is_left(discovery)
+        told = with_differences(discovery, records)
+        if told.status is not discovery.status:
+            return told
+        self.progress("comparing the records", 2 + _RULES.rounds, STAGES)
+        return with_differing_parameters(told, records, self.effects, self.alpha)
 
     def answered(self, records: tuple[Record, ...], held_out: tuple[Record, ...]) -> Discovery:
         """What the injection and free runs say of these records, whose hold is as it is."""

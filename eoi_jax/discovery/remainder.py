@@ -2,7 +2,7 @@
 
 Records of different days differ in what was not recorded: the temperature around, a load, a slope,
 the zero of a sensor. A model that all of them share cannot have that; an offset of its own in each
-record can say so.
+record can say so, or parameters of its own.
 """
 
 from collections.abc import Iterable, Sequence
@@ -14,17 +14,21 @@ from eoi_jax._status import Status
 from eoi_jax.data.holds import with_hold
 from eoi_jax.data.record import Record
 from eoi_jax.data.windows import window_length
+from eoi_jax.discovery.acceptance import labels_of
 from eoi_jax.discovery.confirm import beyond_noise
 from eoi_jax.discovery.diagnose import diagnose
 from eoi_jax.discovery.drift import drift_of_parameters
+from eoi_jax.discovery.free_run_trials import portion
 from eoi_jax.discovery.judge import error_ratio
 from eoi_jax.discovery.own_offsets import OwnOffsets, with_own_offsets
-from eoi_jax.discovery.remarks import FitNote, is_on_fit
+from eoi_jax.discovery.own_parameters import OwnFits, OwnParameters
+from eoi_jax.discovery.remarks import FitNote, RecordNote, is_on_fit
 from eoi_jax.discovery.result import Discovery
 from eoi_jax.discovery.rules import RULES
 from eoi_jax.estimation.holdout import longest_start
 from eoi_jax.models.augmented import Placed, augmented, place
 from eoi_jax.models.effects import ConstantOffset
+from eoi_jax.models.effects.effect import AbstractEffect
 from eoi_jax.models.plant import Plant
 from eoi_jax.refinement.refine import refine_once
 from eoi_jax.refinement.result import Refinement
@@ -152,11 +156,6 @@ def _denied(
 ) -> Discovery:
     """The declared model in place of an answer, with a note on the offsets of the records."""
     fit, declared, names = shifted.refinement, discovery.declared, _names(records)
-    runs = discovery.before, discovery.windows_before
-    if discovery.base is not None and runs[0] is not None:  # they are those of the refined model
-        plant, judging = declared.plant, discovery.held_out
-        window = window_length(judging, 2 * longest_start(plant, judging))
-        runs = whole_and_windows(plant, judging, window, runs[0].window)
 
     def formatted(parameters: Iterable[str]) -> list[str]:
         values, errors = fit.parameters, fit.standard_errors
@@ -170,11 +169,76 @@ def _denied(
     note = _SHIFTED.format(
         output, ratio, " and ".join(discovery.effects), of_records, suffix, parameters
     )
+    return _declared_alone(discovery, records, note)
+
+
+def with_differing_parameters(
+    discovery: Discovery,
+    records: Sequence[Record],
+    effects: Sequence[AbstractEffect],
+    level: float,
+) -> Discovery:
+    """The declared model in place of an answer, where each record has parameters of its separate.
+
+    Only where the answer leaves more than noise.
+
+    Args:
+        discovery: the answer.
+        records: of the fit, as given.
+        effects: that may be missing in all of them.
+        level: of significance.
+    """
+    runs, judging, answer = discovery.windows_after, discovery.held_out, discovery.found
+    is_left = discovery.status.code in ("partial", "unexplained") or (
+        discovery.status.code == "complete" and bool(beyond_noise(runs, judging))
+    )
+    if not is_left or runs is None or not answer.status.fits or discovery.plant.has_algebraic:
+        return discovery
+    fit_records = with_hold(tuple(records), judging[0].hold, judging[0].skew)
+    compared = portion(fit_records, discovery.declared.nominal)
+    if not 2 <= len(compared) <= RULES.own_parameters.most or runs.window is None:
+        return discovery
+    fits = OwnFits.of(discovery.declared.nominal, compared, runs.window, effects, level)
+    separate = fits.differing_from(discovery.plant)
+    if separate is None:
+        return discovery
+    beside = f" with {labels_of(separate.placed)}" if separate.placed else ""
+    *several, last = separate.differing
+    names = f"{', '.join(several)} and {last}" if several else last
+    verb = "differ" if several else "differs"
+    denied = _declared_alone(discovery, records, _OWN.format(names, beside, separate.ratio, verb))
+    return replace(denied, notes=(*denied.notes, *_values_of(separate, _names(compared))))
+
+
+def _values_of(separate: OwnParameters, names: Sequence[str]) -> list[RecordNote]:
+    """A note on each parameter that differs, with its values."""
+    units = separate.fits[0].plant.units
+    notes = []
+    for parameter in separate.differing:
+        unit = f" {units[parameter]}" if units.get(parameter) else ""
+        pairs = [
+            (fit.parameters[parameter], fit.standard_errors[parameter]) for fit in separate.fits
+        ]
+        values = ", ".join(
+            f"{value:.5g} ± {error:.2g}{unit} in {name}"
+            for (value, error), name in zip(pairs, names, strict=True)
+        )
+        notes.append(RecordNote(_VALUES.format(parameter, values)))
+    return notes
+
+
+def _declared_alone(discovery: Discovery, records: Sequence[Record], reason: str) -> Discovery:
+    """The declared model in place of an answer: ``"unexplained"``, for this reason."""
+    declared, runs = discovery.declared, (discovery.before, discovery.windows_before)
+    if discovery.base is not None and runs[0] is not None:  # they are those of the refined model
+        plant, judging = declared.plant, discovery.held_out
+        window = window_length(judging, 2 * longest_start(plant, judging))
+        runs = whole_and_windows(plant, judging, window, runs[0].window)
     return replace(
         discovery, effects=(), added=(), ambiguous_with=(), advice="", explained=0.0,
         before=runs[0], windows_before=runs[1], after=runs[0], windows_after=runs[1], base=None,
-        found=declared, plant=declared.plant, status=Status("unexplained", note),
-        notes=tuple(item for item in discovery.notes if not is_on_fit(item)),
+        found=declared, plant=declared.plant, status=Status("unexplained", reason), lead=None,
+        notes=tuple(note for note in discovery.notes if not is_on_fit(note)),
         diagnosis=diagnose(declared, records),
     )  # fmt: skip
 
@@ -232,6 +296,14 @@ _SHIFTED = (
     "declared model have {:.2g} of the error that {} leaves ({}{}). What differs between them is "
     "not in the model: record it as an input, or remove it from the data. With these offsets {}"
 )
+_OWN = (
+    "the records ask for different parameters: each by itself is described by the declared model{1}"
+    ", with {2:.2g} of the error in free runs that common parameters or the effects tried leave. "
+    "Between them {0} {3}. What changes is not in the model: write it into the equations and give "
+    "it as an input with a value in each record (a load, a ballast), or ask `discover` of each "
+    "record by itself"
+)
+_VALUES = "{} differs between the records: {}"
 _DIFFER = (
     "the records differ in a constant at {}: with an offset of its own in each, free runs have "
     "{:.2g} of the error that one offset for all leaves ({}). What differs between them is not in "

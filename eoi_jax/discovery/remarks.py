@@ -22,6 +22,12 @@ class HoldNote(str):
     __slots__ = ()
 
 
+class RecordNote(str):
+    """A sentence on a parameter that differs from record to record, with its values."""
+
+    __slots__ = ()
+
+
 def is_on_fit(note: str) -> bool:
     """Whether a note is on a fitted model, and goes with it."""
     return isinstance(note, FitNote | GridNote)

@@ -443,6 +443,32 @@ class DifferenceRules:
 
 
 @dataclass(frozen=True)
+class OwnParameterRules:
+    """When records are said to ask for different parameters (`own_parameters.py`).
+
+    Set with a hoist of three loads and a vehicle with two ballasts in view.
+
+    Attributes:
+        most: records that are compared.
+        ratio: error with parameters of each record over that with common ones, at most.
+        small: error over the spread of an output that counts as none.
+        deviations: of a parameter in two records, in standard errors of the difference.
+        effects: that are added to the model at most. tried: in each round, for one.
+        starts: of the fit with common parameters, from the values of as many records.
+        steps: of the solver in a fit, at most.
+    """
+
+    most: int = 6
+    ratio: float = 1.0 / 3.0
+    small: float = 0.01
+    deviations: float = 4.0
+    effects: int = 2
+    tried: int = 3
+    starts: int = 3
+    steps: int = 50
+
+
+@dataclass(frozen=True)
 class DiscoveryRules:
     """All of them.
 
@@ -453,7 +479,7 @@ class DiscoveryRules:
         judge, free_runs, questions: of free runs on held-out records.
         curves: where no law fits.
         holds: of how the records were made.
-        differences: between records.
+        differences: between records. own_parameters: of these.
         refinement: on request.
     """
 
@@ -471,6 +497,7 @@ class DiscoveryRules:
     curves: CurveRules = field(default_factory=CurveRules)
     holds: HoldRules = field(default_factory=HoldRules)
     differences: DifferenceRules = field(default_factory=DifferenceRules)
+    own_parameters: OwnParameterRules = field(default_factory=OwnParameterRules)
     refinement: RefinementRules = field(default_factory=RefinementRules)
 
 

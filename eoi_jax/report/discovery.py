@@ -8,6 +8,7 @@ import numpy as np
 
 from eoi_jax.data.clipping import AT_END
 from eoi_jax.discovery.confirm import drifts, only_short
+from eoi_jax.discovery.remarks import RecordNote
 from eoi_jax.discovery.result import Added, Discovery, PartialExplanation, Texts
 from eoi_jax.models.effects import (
     INPUT_EFFECTS,
@@ -99,6 +100,8 @@ def _lacking(discovery: Discovery) -> str:
         start = "The model lacks nothing that the records show"
     elif code == "partial":
         start = f"The model {lacking}, and something that is left"
+    elif any(isinstance(note, RecordNote) for note in discovery.notes):
+        start = "The model lacks what makes the records ask for different parameters"
     elif code == "unexplained" and lacking:
         start = f"The model {lacking}, and something that none of the tested effects explains"
     elif code == "unexplained" and discovery.in_sample and not discovery.ranking:

@@ -7,9 +7,11 @@ import pytest
 
 import eoi_jax as eoi
 from eoi_jax.discovery.own_offsets import with_own_offsets
+from eoi_jax.discovery.own_parameters import OwnFits
 from eoi_jax.discovery.remainder import _differ
+from eoi_jax.discovery.remarks import RecordNote
 from eoi_jax.models.augmented import augmented, place
-from eoi_jax.models.effects import ConstantOffset
+from eoi_jax.models.effects import ConstantOffset, QuadraticDrag
 from eoi_jax.refinement.refine import refine_once
 from eoi_jax.simulation.validate import judged_runs
 
@@ -141,3 +143,59 @@ def test_outputs_that_stay_at_an_end_of_their_range_are_told():
     told = [note for note in found.notes if "an end of its range" in note]
     assert told
     assert all("temperature stays at" in note for note in told)
+
+
+def moved(mass, seed, resistance=1.0):
+    """mass·v' = 2·u - resistance·v - 0.8·v|v|: exact to far below the noise."""
+    draw, substeps, samples = np.random.default_rng(seed), 20, 500
+    force, h = np.repeat(draw.uniform(-2.0, 3.0, samples // 20), 20), 0.05 / 20
+    v, speeds = 0.0, []
+    for level in force:
+        speeds.append(v)
+        for _ in range(substeps):
+            v += h * (2.0 * level - resistance * v - 0.8 * v * abs(v)) / mass
+    noise = 2e-3 * draw.standard_normal(samples)
+    return eoi.Record(
+        0.05 * np.arange(samples), force, np.array(speeds) + noise, f"{mass:g} kg", hold="zero",
+        input_names=("force",), output_names=("v",),
+    )  # fmt: skip
+
+
+DRIVEN = eoi.Plant(
+    lambda t, x, u, p: p.gain * u[0] - p.loss * x.y[0], {"gain": 1.0, "loss": 1.0}, 1,
+    inputs=("force",), outputs=("v",), units={"v": "m/s", "force": "N"},
+)  # fmt: skip
+
+
+@pytest.mark.slow
+def test_records_with_another_load_each_are_told_with_their_parameters():
+    """A drag is missing in all records, and the mass is another one in each."""
+    records = [moved(1.0, 1), moved(2.0, 2), moved(3.0, 3)]
+    found = eoi.discover(DRIVEN, records, validation=moved(1.5, 4))
+    assert found.status.code == "unexplained"
+    assert "the records ask for different parameters" in found.status.message
+    assert "declared model with quadratic_drag" in found.status.message
+    assert not found.effects
+    assert "records ask for different parameters" in str(found).splitlines()[0]
+    notes = [note for note in found.notes if isinstance(note, RecordNote)]
+    assert [note.split()[0] for note in notes] == ["gain", "loss", "quadratic_drag"]
+    values = [float(part.split(" ±")[0]) for part in notes[0].split(": ")[1].split(", ")]
+    np.testing.assert_allclose(values, [2.0, 1.0, 2.0 / 3.0], rtol=0.02)
+    assert all(f"{mass} kg" in notes[0] for mass in (1, 2, 3))
+
+
+def test_records_whose_parameters_are_alike_ask_for_no_others():
+    records = moved(1.0, 1), moved(1.0, 2)
+    fits = OwnFits.of(DRIVEN, records, 5.0, [QuadraticDrag()], 0.01)
+    assert fits.differing_from(DRIVEN) is None  # which lacks the drag
+    other = OwnFits.of(DRIVEN, (moved(1.0, 1), moved(2.0, 2)), 5.0, [QuadraticDrag()], 0.01)
+    own = other.differing_from(DRIVEN)
+    assert own is not None
+    assert own.differing == ("gain", "loss", "quadratic_drag")
+    assert own.ratio < 0.1
+
+
+def test_records_that_no_effect_describes_ask_for_no_others():
+    records = moved(1.0, 1), moved(2.0, 2)
+    fits = OwnFits.of(DRIVEN, records, 5.0, [ConstantOffset()], 0.01)
+    assert fits.differing_from(DRIVEN) is None
