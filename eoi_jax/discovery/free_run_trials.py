@@ -424,10 +424,8 @@ def portion(records: tuple[Record, ...], plant: Plant) -> tuple[Record, ...]:
         plant: the declared model, whose runs with their derivatives take time for each state,
             parameter and step.
     """
-    states = plant.rows * len(plant.outputs) + len(plant.open_internal)
-    signals = states * (1 + len(plant.names) - len(plant.fixed) + states)
-    steps = choose_steps(plant, records).count
-    most = min(_RULES.samples // len(plant.outputs), _RULES.work // (steps * max(signals, 1)))
+    work = work_per_sample(records, plant)
+    most = min(_RULES.samples // len(plant.outputs), _RULES.work // work)
     if count_of(records) <= most:
         return records
     for number in range(len(records) - 1, 0, -1):
@@ -436,6 +434,13 @@ def portion(records: tuple[Record, ...], plant: Plant) -> tuple[Record, ...]:
         if count_of(chosen) <= most:
             return chosen
     return (records[0][:most],)
+
+
+def work_per_sample(records: tuple[Record, ...], plant: Plant) -> int:
+    """Steps of a simulation in a sample, times states with their derivatives."""
+    states = plant.rows * len(plant.outputs) + len(plant.open_internal)
+    signals = states * (1 + len(plant.names) - len(plant.fixed) + states)
+    return choose_steps(plant, records).count * max(signals, 1)
 
 
 def count_of(records: tuple[Record, ...]) -> int:

@@ -15,6 +15,7 @@ import numpy as np
 from jaxtyping import Float
 
 from eoi_jax.data.record import Record
+from eoi_jax.discovery.free_run_trials import work_per_sample
 from eoi_jax.discovery.rules import RULES
 from eoi_jax.estimation.regression.robust_covariance import correlation_time
 from eoi_jax.models.augmented import Placed, added_effects, augmented
@@ -56,7 +57,7 @@ class OwnFits:
 
     Attributes:
         declared: the model, at the values to start from.
-        records: of the fit, several.
+        records: beginnings of those of the fit, several.
         window: length of the runs [s].
         effects: to try in the model.
         level: of significance.
@@ -77,9 +78,14 @@ class OwnFits:
         effects: Sequence[AbstractEffect],
         level: float,
     ) -> "OwnFits":
-        """With the effects that name a cause."""
+        """With the effects that name a cause, and so much of each record as takes little time."""
         causes = tuple(effect for effect in effects if not isinstance(effect, _STAND_INS))
-        return cls(declared, records, window, causes, level)
+        count = _RULES.work // (len(records) * work_per_sample(records, declared))
+        beginnings = []
+        for record in records:
+            fewest = int(_RULES.windows * window / record.sample_period) + 1
+            beginnings.append(record[: max(count, fewest)])
+        return cls(declared, tuple(beginnings), window, causes, level)
 
     def differing_from(self, answer: Plant) -> OwnParameters | None:
         """The fits, where the records ask for different parameters; else None.
@@ -190,7 +196,7 @@ def _most_likely(tests: Sequence[Remaining]) -> list[Placed]:
         for item in test.ranking:
             logs.setdefault(item.placed[0], []).append(np.log(max(1.0 - item.share, _TINY)))
     complete = [placed for placed, values in logs.items() if len(values) == len(tests)]
-    return sorted(complete, key=lambda placed: sum(logs[placed]))[: _RULES.tried]
+    return sorted(complete, key=lambda placed: sum(logs[placed]))[: _RULES.trials]
 
 
 def _values(test: Remaining, placed: Placed) -> dict[str, float]:

@@ -18,7 +18,6 @@ from eoi_jax.discovery.acceptance import labels_of
 from eoi_jax.discovery.confirm import beyond_noise
 from eoi_jax.discovery.diagnose import diagnose
 from eoi_jax.discovery.drift import drift_of_parameters
-from eoi_jax.discovery.free_run_trials import portion
 from eoi_jax.discovery.judge import error_ratio
 from eoi_jax.discovery.own_offsets import OwnOffsets, with_own_offsets
 from eoi_jax.discovery.own_parameters import OwnFits, OwnParameters
@@ -178,7 +177,7 @@ def with_differing_parameters(
     effects: Sequence[AbstractEffect],
     level: float,
 ) -> Discovery:
-    """The declared model in place of an answer, where each record has parameters of its separate.
+    """The declared model in place of an answer, where each record has parameters of its own.
 
     Only where the answer leaves more than noise.
 
@@ -195,19 +194,20 @@ def with_differing_parameters(
     if not is_left or runs is None or not answer.status.fits or discovery.plant.has_algebraic:
         return discovery
     fit_records = with_hold(tuple(records), judging[0].hold, judging[0].skew)
-    compared = portion(fit_records, discovery.declared.nominal)
-    if not 2 <= len(compared) <= RULES.own_parameters.most or runs.window is None:
+    if not 2 <= len(fit_records) <= RULES.own_parameters.most or runs.window is None:
         return discovery
-    fits = OwnFits.of(discovery.declared.nominal, compared, runs.window, effects, level)
+    fits = OwnFits.of(discovery.declared.nominal, fit_records, runs.window, effects, level)
     separate = fits.differing_from(discovery.plant)
     if separate is None:
         return discovery
-    beside = f" with {labels_of(separate.placed)}" if separate.placed else ""
-    *several, last = separate.differing
-    names = f"{', '.join(several)} and {last}" if several else last
-    verb = "differ" if several else "differs"
-    denied = _declared_alone(discovery, records, _OWN.format(names, beside, separate.ratio, verb))
-    return replace(denied, notes=(*denied.notes, *_values_of(separate, _names(compared))))
+    effects_text = f" with {labels_of(separate.placed)}" if separate.placed else ""
+    *earlier, last = separate.differing
+    names = f"{', '.join(earlier)} and {last}" if earlier else last
+    verb = "differ" if earlier else "differs"
+    denied = _declared_alone(
+        discovery, records, _ASK.format(names, effects_text, separate.ratio, verb)
+    )
+    return replace(denied, notes=(*denied.notes, *_values_of(separate, _names(fit_records))))
 
 
 def _values_of(separate: OwnParameters, names: Sequence[str]) -> list[RecordNote]:
@@ -296,7 +296,7 @@ _SHIFTED = (
     "declared model have {:.2g} of the error that {} leaves ({}{}). What differs between them is "
     "not in the model: record it as an input, or remove it from the data. With these offsets {}"
 )
-_OWN = (
+_ASK = (
     "the records ask for different parameters: each by itself is described by the declared model{1}"
     ", with {2:.2g} of the error in free runs that common parameters or the effects tried leave. "
     "Between them {0} {3}. What changes is not in the model: write it into the equations and give "

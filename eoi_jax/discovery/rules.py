@@ -453,9 +453,11 @@ class OwnParameterRules:
         ratio: error with parameters of each record over that with common ones, at most.
         small: error over the spread of an output that counts as none.
         deviations: of a parameter in two records, in standard errors of the difference.
-        effects: that are added to the model at most. tried: in each round, for one.
+        effects: that are added to the model at most. trials: in each round, for one.
         starts: of the fit with common parameters, from the values of as many records.
         steps: of the solver in a fit, at most.
+        work: steps of these simulations times states and their derivatives, as in `FreeRunRules`:
+            of longer records the beginnings are compared. windows: of these, at least.
     """
 
     most: int = 6
@@ -463,9 +465,11 @@ class OwnParameterRules:
     small: float = 0.01
     deviations: float = 4.0
     effects: int = 2
-    tried: int = 3
+    trials: int = 3
     starts: int = 3
     steps: int = 50
+    work: int = 600_000
+    windows: int = 2
 
 
 @dataclass(frozen=True)
