@@ -32,7 +32,6 @@ from eoi_jax.models.effects.effect import (
     AbstractTerm,
     At,
 )
-from eoi_jax.models.effects.inputs import ActuatorLag, InputDelay
 from eoi_jax.models.parameters import parameter_type
 from eoi_jax.models.plant import Actuator, Dynamics, Plant, State
 from eoi_jax.models.units import derivative_unit, quotient_unit
@@ -212,20 +211,6 @@ def acting(placed: Sequence[Placed]) -> Actuator:
         placed: actuator effects, in the order in which they act on an input.
     """
     return _Actuator(None, (), tuple(placed))
-
-
-def actuators(plant: Plant) -> tuple[Placed, ...]:
-    """The delays and lags of a plant's inputs, in the order in which they act.
-
-    Raises:
-        ValueError: an actuator that is a user's function, or an effect of another kind.
-    """
-    rule = "must be made of the effects input_delay and actuator_lag"
-    placed = actuator_effects(plant, rule)
-    for placement in placed:
-        good = isinstance(placement.effect, InputDelay | ActuatorLag)
-        check(good, "actuator", rule, placement.effect.name)
-    return placed
 
 
 def actuator_effects(plant: Plant, rule: str) -> tuple[Placed, ...]:

@@ -9,7 +9,7 @@ import numpy as np
 from eoi_jax._checks import check_kind
 from eoi_jax.discovery.result import Discovery
 from eoi_jax.estimation.identify import Identification
-from eoi_jax.models.augmented import actuators, added_effects
+from eoi_jax.models.augmented import actuator_effects, added_effects
 from eoi_jax.models.input_strength import input_strengths
 from eoi_jax.models.plant import Plant
 from eoi_jax.refinement.result import Refinement
@@ -145,9 +145,9 @@ def parameter_estimates(result: Any, uncertainty: Uncertainty) -> tuple[Paramete
 def _effects(plant: Plant) -> Iterator[tuple[str, str]]:
     """Name of each parameter of an effect, and that of the effect."""
     try:
-        delays_and_lags = actuators(plant)
+        on_inputs = actuator_effects(plant, "must be made of effects")
     except ValueError:  # a function of the user, whose parameters are the declared model's
-        delays_and_lags = ()
-    for placed in (*added_effects(plant), *delays_and_lags):
+        on_inputs = ()
+    for placed in (*added_effects(plant), *on_inputs):
         for name in placed.names:
             yield name, placed.effect.name

@@ -5,7 +5,7 @@ from dataclasses import replace
 
 from eoi_jax.models.equations.expression import Symbol, symbols_of
 from eoi_jax.models.export.matlab import filled, helpers, listing_of
-from eoi_jax.models.export.names import comment
+from eoi_jax.models.export.names import LIMITED, comment, on_input
 from eoi_jax.models.export.program import Program, Variable
 from eoi_jax.models.plant import Plant
 
@@ -77,17 +77,20 @@ def idnlgrey_script(plant: Plant, model: Program, name: str, version: str) -> st
 
 
 def _parameters(model: Program) -> list[tuple[Variable, float]]:
-    """Those of the formulas: a delay has no place in them."""
-    late = {name for names in model.delays.values() for name in names}
-    return [(variable, value) for variable, value in model.parameters if variable.name not in late]
+    """Those of the formulas: a delay, or a limit before the model, has no place in them."""
+    outside = on_input(model)
+    return [pair for pair in model.parameters if pair[0].name not in outside]
 
 
 def _remarks(model: Program) -> list[str]:
     lines = []
+    values = {variable.name: value for variable, value in model.parameters}
     for source, names in model.delays.items():
-        values = {variable.name: value for variable, value in model.parameters}
         late = sum(values[name] for name in names)
         lines.append(f"The input {comment(source)} acts {late!r} s late: delay it in the data.")
+    for source, limits in model.limits.items():
+        lines.append(f"The input {comment(source)} of the data must first become")
+        lines += [f"  {LIMITED[kind].format(repr(values[name]))}." for kind, name in limits]
     for symbol, start in model.starts.items():
         if symbols_of(start):
             name = comment(symbol.name)

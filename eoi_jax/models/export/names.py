@@ -142,21 +142,39 @@ def header(
     lines.append("Inputs:" if model.inputs else "Inputs: none")
     for k, variable in enumerate(model.inputs, int(first)):
         late = " + ".join(model.delays.get(variable.name, ()))
-        note = f"its value {comment(late)} seconds ago" if late else ""
-        lines.append(element(u, k, variable, note))
+        notes = [f"its value {comment(late)} seconds ago"] if late else []
+        limits = model.limits.get(variable.name, ())
+        notes += [LIMITED[kind].format(comment(name)) for kind, name in limits]
+        lines.append(element(u, k, variable, ", then ".join(notes)))
     if model.outputs:
         lines.append("Outputs that are functions of these, at t with the inputs from t on:")
     for k, variable in enumerate(model.outputs, int(first)):
         lines.append(element(y, k, variable, ""))
     for variable, value in model.parameters:
-        if any(variable.name in late for late in model.delays.values()):
-            lines.append(f"  {names[variable.symbol]} = {value!r}{_unit(variable.unit)}: a delay")
+        kind = on_input(model).get(variable.name)
+        if kind is not None:
+            lines.append(f"  {names[variable.symbol]} = {value!r}{_unit(variable.unit)}: {kind}")
     for symbol in model.rough:
         lines.append(f"Dry friction: at {names[symbol]} = 0 the right-hand side is set-valued, and")
         lines.append(
             "  the state sticks while the other forces are below its level. Here sign(0) = 0."
         )
     return "\n".join(lines)
+
+
+# What an input has gone through before the model, by the name of the effect.
+LIMITED = {
+    "rate_limit": "what moves towards it by {} in a second at most, from its first value on",
+    "input_play": "what it takes along where they are half of {} apart, from its first value on",
+}
+
+
+def on_input(model: Program) -> dict[str, str]:
+    """Parameters of what inputs go through before they reach the formulas, and what they are."""
+    delays = {name: "a delay" for names in model.delays.values() for name in names}
+    kinds = {"rate_limit": "a limit of the rate", "input_play": "a play"}
+    limits = {name: kinds[kind] for pairs in model.limits.values() for kind, name in pairs}
+    return delays | limits
 
 
 def _unit(unit: str) -> str:

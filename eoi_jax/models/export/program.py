@@ -11,8 +11,8 @@ import jax.numpy as jnp
 
 from eoi_jax._checks import check
 from eoi_jax.compiler.graph import Node, Untranslatable
-from eoi_jax.models.augmented import actuators
-from eoi_jax.models.effects import ActuatorLag
+from eoi_jax.models.augmented import actuator_effects
+from eoi_jax.models.effects import ActuatorLag, InputDelay, InputPlay, RateLimit
 from eoi_jax.models.effects.effect import internal_names
 from eoi_jax.models.equations.expression import Expression, Symbol
 from eoi_jax.models.equations.from_plant import (
@@ -59,6 +59,9 @@ class Program:
         definitions: parts that formulas share, each using earlier ones only.
         delays: by input, the parameters whose sum it is late by.
         lags: by input, the parameters that are its time constants.
+        limits: by input, kind and parameter of what it goes through before the model: a limit of
+            its rate (``"rate_limit"``) or a play (``"input_play"``), in this order. A right-hand
+            side has no place for what moves no faster, or not at all.
         rough: states whose change of sign makes a rate jump: dry friction.
         outputs: those that are functions of the states.
         output_formulas: what they are.
@@ -77,6 +80,7 @@ class Program:
     definitions: tuple[tuple[Symbol, Expression], ...]
     delays: dict[str, tuple[str, ...]]
     lags: dict[str, tuple[str, ...]]
+    limits: dict[str, tuple[tuple[str, str], ...]]
     rough: tuple[Symbol, ...]
     outputs: tuple[Variable, ...] = ()
     output_formulas: tuple[Expression, ...] = ()
@@ -128,7 +132,7 @@ def program(plant: Plant, *, lags_as_states: bool = True) -> Program:
     """
     _check_exportable(plant)
     symbolic = SymbolicPlant(plant)
-    delays, lags = _delays_and_lags(plant)
+    delays, lags, limits = _on_inputs(plant)
     added, inputs = _lagged(symbolic, lags) if lags_as_states else ([], symbolic.inputs)
     try:
         f = symbolic.nodes(plant.derivative, inputs)
@@ -172,6 +176,7 @@ def program(plant: Plant, *, lags_as_states: bool = True) -> Program:
         tuple(definitions),
         delays,
         lags,
+        limits,
         tuple(Symbol(name, row) for name, row, rough in dry if rough),
         tuple(_variable(plant, Symbol(name), name) for name in
               (plant.outputs[j] for j in algebraic)),
@@ -227,15 +232,36 @@ def _derivative_name(output: str, order: int) -> str:
     return output + ("", "_rate")[min(order, 1)] + (f"_{order}" if order > 1 else "")
 
 
-def _delays_and_lags(plant: Plant) -> tuple[dict[str, tuple[str, ...]], dict[str, tuple[str, ...]]]:
-    """Delays and lags by input; they commute."""
-    delays: dict[str, tuple[str, ...]] = {}
-    lags: dict[str, tuple[str, ...]] = {}
-    for placed in actuators(plant):
-        kind = lags if isinstance(placed.effect, ActuatorLag) else delays
-        source = plant.inputs[placed.channel]
-        kind[source] = (*kind.get(source, ()), placed.names[0])
-    return delays, lags
+ByInput = dict[str, tuple[str, ...]]
+
+
+def _on_inputs(plant: Plant) -> tuple[ByInput, ByInput, dict[str, tuple[tuple[str, str], ...]]]:
+    """Delays, lags and limits by input. Delays commute with all; a limit behind a lag does not."""
+    delays: ByInput = {}
+    lags: ByInput = {}
+    limits: dict[str, tuple[tuple[str, str], ...]] = {}
+    rule = "must be made of the effects input_delay, actuator_lag, rate_limit and input_play"
+    for placed in actuator_effects(plant, rule):
+        source, name = plant.inputs[placed.channel], placed.names[0]
+        match placed.effect:
+            case ActuatorLag():
+                lags[source] = (*lags.get(source, ()), name)
+            case InputDelay():
+                delays[source] = (*delays.get(source, ()), name)
+            case RateLimit() | InputPlay():
+                order = f"must act before the lag of {source} to be exported"
+                check(source not in lags, placed.effect.name, order, "behind it", _BEHIND_LAG)
+                limits[source] = (*limits.get(source, ()), (placed.effect.name, name))
+            case _:
+                check(False, "actuator", rule, placed.effect.name, _WITHOUT)
+    return delays, lags, limits
+
+
+_BEHIND_LAG = "`simulate` runs the model as it is."
+_WITHOUT = (
+    "Export the model without that effect, and let the inputs go through it before they reach the "
+    "model; `simulate` runs it as it is."
+)
 
 
 def _lagged(

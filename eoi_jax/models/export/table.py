@@ -3,7 +3,6 @@
 from dataclasses import replace
 
 from eoi_jax._checks import check
-from eoi_jax.models.augmented import actuators
 from eoi_jax.models.equations.expression import symbols_of
 from eoi_jax.models.equations.printer import code_notation, power_operator, written
 from eoi_jax.models.equations.system import TextDynamics
@@ -30,12 +29,18 @@ def table_of(plant: Plant) -> ModelTable:
         ValueError: a model that texts cannot say: an operation, a name, two lags of one input.
     """
     model = program(plant, lags_as_states=False)
+    for source, limits in model.limits.items():
+        rule = f"of {source} has no place in a model as text"
+        check(False, f"effect {limits[0][0]}", rule, limits[0][1], _PROGRAM)
     text = plant.dynamics
     table = (
         _of_text(plant, text, model) if isinstance(text, TextDynamics) else _written(plant, model)
     )
     plant_of(table, plant.name)  # what cannot be read back is refused here, with the reason
     return table
+
+
+_PROGRAM = "Export a program (.py, .c or .m), which says what the input must go through before."
 
 
 def _of_text(plant: Plant, text: TextDynamics, model: Program) -> ModelTable:
@@ -68,7 +73,8 @@ def _written(plant: Plant, model: Program) -> ModelTable:
     variables = (*model.states, *model.inputs, *model.outputs)
     safe = {variable.name: names[variable.symbol] for variable in variables}
     safe |= {variable.name: names[variable.symbol] for variable, _ in model.parameters}
-    actuator_parameters = {name for placed in actuators(plant) for name in placed.names}
+    passed = (*model.delays.values(), *model.lags.values())
+    actuator_parameters = {name for names in passed for name in names}
     for variable, _ in model.parameters:
         rule = "must be used by the model to be exported as text"
         check(

@@ -46,6 +46,10 @@ def latex_text(
     for source, delays in model.delays.items():
         delayed, times = symbol_latex(Symbol(source)), " + ".join(parameters[d] for d in delays)
         lines.append(rf"&\text{{with }} {delayed} \text{{ taken at }} t - ({times})")
+    for source, limits in model.limits.items():
+        limited = symbol_latex(Symbol(source))
+        lines += [rf"&\text{{{_LIMITED[kind]} }} {limited} \text{{: }} {parameters[name]}"
+                  for kind, name in limits]  # fmt: skip
     lines += [rf"&\text{{set-valued at }} {symbol_latex(symbol)} = 0" for symbol in model.rough]
     rows = [
         f"${parameters[variable.name]}$ & ${written(Number(value), LATEX)}$ & "
@@ -58,6 +62,9 @@ def latex_text(
         *(r"\begin{tabular}{lrl}", *rows, r"\end{tabular}"),
     ]
     return "\n".join(parts) + "\n"
+
+
+_LIMITED = {"rate_limit": "limit of the rate of", "input_play": "play before"}
 
 
 def _unit(unit: str) -> str:

@@ -386,6 +386,45 @@ def test_latex_balances_and_names_every_parameter(model, tmp_path):
     assert table.count(r"\\") == len(plant.names)
 
 
+def limited(*chosen):
+    """v' = 2·u - v behind a limit of the rate, a play, or both."""
+    plant = eoi.Plant(lambda t, x, u, p: p.b * u[0] - x.y[0], {"b": 2.0}, 1, ("valve",), ("v",))
+    return with_effects(plant, chosen)
+
+
+def test_behind_a_limit_of_the_rate_the_program_simulates_equally(tmp_path):
+    """Its input goes through the limit before, as the file says."""
+    plant, h, substeps = limited(effects.RateLimit(), effects.ActuatorLag()), 0.1, 20
+    path = eoi.export(plant, tmp_path / "model.py")
+    text = path.read_text(encoding="utf-8")
+    assert "valve: what moves towards it by rate_limit in a second at most, from its first" in text
+    assert "rate_limit = 0.3: a limit of the rate" in text
+    rates = runpy.run_path(str(path))["model"]
+    time = h * np.arange(100)
+    u = np.repeat([0.0, 1.0, -0.5, 0.2], 25)
+    moved, state, speeds = 0.0, np.zeros(2), []
+    for level in u:
+        speeds.append(state[0])
+        for _ in range(substeps):
+            step = h / substeps
+            start = moved
+            moved += np.clip(level - moved, -0.3 * step, 0.3 * step)
+            middle = np.array([0.5 * (start + moved)])
+            k1 = rates(0.0, state, middle)
+            state = state + step * rates(0.0, state + 0.5 * step * k1, middle)
+    simulated = eoi.simulate(plant, time, u, hold="zero").outputs[:, 0]
+    np.testing.assert_allclose(speeds, simulated, atol=2e-3)
+
+
+def test_a_play_before_the_model_is_said_in_each_language(tmp_path):
+    plant = limited(effects.InputDelay(), effects.InputPlay())
+    for name in ("model.py", "model.c", "model.m"):
+        text = eoi.export(plant, tmp_path / name).read_text(encoding="utf-8")
+        said = "seconds ago, then what it takes along where they are half of input_play apart"
+        assert said in text
+    assert "play before" in eoi.export(plant, tmp_path / "model.tex").read_text(encoding="utf-8")
+
+
 # -- what a file says -------------------------------------------------------------------------
 
 
@@ -531,7 +570,11 @@ def largest(t, x, u, p):
          "`actuator` must be made of the effects"),
         (lambda: augmented(simple(linear), [place(simple(linear), effects.InputRate(), 0)],
                            {"input_rate_lead": 0.1, "input_rate_lag": 0.05}), "a.c",
-         "`actuator` must be made of the effects.*got input_rate"),
+         "`actuator` must be made of the effects.*got input_rate. Export the model without"),
+        (lambda: limited(effects.RateLimit()), "a.json",
+         "`effect rate_limit` of valve has no place in a model as text.*Export a program"),
+        (lambda: limited(effects.ActuatorLag(), effects.RateLimit()), "a.c",
+         "`rate_limit` must act before the lag of valve to be exported"),
         (lambda: with_effects(eoi.plants.pendulum(), [effects.ActuatorLag()]).with_parameters(
             {"actuator_lag": 0.0}), "a.c", r"`parameters\[actuator_lag\]` must be positive"),
         (lambda: simple(lambda t, x, u, p: x.y[0] + 0 * p.a), "a.json",

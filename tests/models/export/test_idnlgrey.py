@@ -192,3 +192,15 @@ def test_octave_runs_both_files(tmp_path):
     assert done.returncode == 0, done.stderr.decode()
     for line, values in zip(done.stdout.decode().splitlines(), expected, strict=True):
         np.testing.assert_allclose([float(entry) for entry in line.split()], values, rtol=1e-10)
+
+
+def test_a_limit_of_the_rate_is_left_to_the_data(tmp_path):
+    plant = eoi.plants.mass_spring_damper()
+    placed = place(plant, effects.RateLimit(), 0)
+    eoi.export(
+        augmented(plant, (placed,), {"rate_limit": 0.5}), tmp_path / "rig.m", language="idnlgrey"
+    )
+    script = (tmp_path / "rig_idnlgrey.m").read_text(encoding="utf-8")
+    assert f"% The input {plant.inputs[0]} of the data must first become" in script
+    assert "what moves towards it by 0.5 in a second at most" in script
+    assert "'rate_limit'" not in script
