@@ -43,7 +43,9 @@ class Leak(AbstractTerm):
         return plant.degrees[output] == 1
 
     def shows(self, seen: Seen) -> bool:
-        return not seen.measured or not turns(seen.y)  # of both signs it is viscous friction
+        if seen.kind == "speed":
+            return False  # it is viscous friction, whatever the signs
+        return not seen.measured or not turns(seen.y)
 
     def term(self, at: At, gain: Any, shape: Any) -> Any:
         return -gain[0] * at.y

@@ -606,3 +606,15 @@ def test_ripple_finer_than_the_noise_is_not_tried():
     ripple, known = effects.PositionRipple(), seen()
     noisy = replace(known, noise=0.05 * np.ptp(known.y))
     assert np.max(ripple.grid(noisy)) < np.max(ripple.grid(known))
+
+
+def test_what_a_speed_loses_in_proportion_is_friction_and_no_leak():
+    y = np.linspace(1.0, 9.0, 50)  # of one sign, as a level
+    seen = Seen(y, y, y, True, 1e-4, 40.0, 5e-3, 10.0, np.array([1.0]))
+    friction, leak = effects.ViscousFriction(), effects.Leak()
+    assert leak.shows(seen)
+    assert not friction.shows(seen)
+    speed = replace(seen, kind="speed")
+    assert friction.shows(speed)
+    assert not leak.shows(speed)
+    assert leak.shows(replace(seen, kind="temperature"))
