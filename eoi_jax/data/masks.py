@@ -273,3 +273,24 @@ def _steps_since(flags: Bool[Host, " steps"]) -> Any:
     index = xp.arange(len(flags), dtype=float)
     flagged = xp.where(flags, index, -np.inf)
     return index - (np.maximum.accumulate(flagged) if xp is np else jax.lax.cummax(flagged))
+
+
+def hold_advice(records: Sequence[Record]) -> str:
+    """What to do where the inputs of a record are known at few of its samples; "" elsewhere.
+
+    Args:
+        records: as given.
+    """
+    for record in records:
+        count = int(np.sum(record.input_valid))
+        if count < _MASKED_INPUTS * len(record):
+            return _DECLARE_HOLD.format(record.name, count)
+    return ""
+
+
+_MASKED_INPUTS = 0.5  # share of samples: gaps are fewer, an input with a rate of its own has more
+_DECLARE_HOLD = (
+    "In {} all inputs are known together at {} samples alone: of an input that is logged "
+    'seldom say what it does in between, with `hold`: "linear" or "zero" for each input, in '
+    "`read_record`, in `Record`, or in `[data]` of a config."
+)

@@ -6,7 +6,7 @@ from functools import partial
 import numpy as np
 
 from eoi_jax._checks import check, check_kind, check_positive, timed
-from eoi_jax.data.masks import constant, over_samples
+from eoi_jax.data.masks import constant, hold_advice, over_samples
 from eoi_jax.data.record import Record
 from eoi_jax.data.windows import (
     driven_parts,
@@ -128,7 +128,7 @@ def check_scored_records(
             f"{name}[{record.name}]",
             f"must have valid samples after the {timed(head, period)} that start {subject}",
             f"{timed(len(record), period)}, {_count_measured(record)} of them valid{burn_in}",
-            "Give a longer record, or one with fewer gaps.",
+            hold_advice([record]) or "Give a longer record, or one with fewer gaps.",
         )
         notes += restart_notes(record, len(parts), head + 1)
         for part, run in pairs:

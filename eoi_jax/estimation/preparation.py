@@ -17,6 +17,7 @@ from jaxtyping import Bool, Float
 from eoi_jax._checks import check, check_count, check_kind, real
 from eoi_jax.data.masks import (
     beyond_starts,
+    hold_advice,
     tapered,
     transient_samples,
     usable_steps,
@@ -411,7 +412,8 @@ def check_common_samples(
             f"must be measured at the same time as what stands in its equation: "
             f"{', '.join(partners)}",
             "no such step",
-            "Use `refine`, which scores the samples of each output by itself.",
+            hold_advice(records)
+            or "Use `refine`, which scores the samples of each output by itself.",
         )
 
 

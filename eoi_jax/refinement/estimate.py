@@ -9,6 +9,7 @@ from jaxtyping import Bool, Float
 from eoi_jax._checks import counted, percent
 from eoi_jax._status import FitNote, Status
 from eoi_jax.data.clipping import clipped_notes
+from eoi_jax.data.masks import hold_advice
 from eoi_jax.data.record import Record
 from eoi_jax.data.windows import restart_notes
 from eoi_jax.data.wrapped_outputs import wrapped_notes
@@ -287,7 +288,15 @@ def unanswered(
 
 _ON_BOUND = "{} ended on its bound, {:g}"
 _UNSETTLED = "the weights of the outputs still changed by {}; refine again from here"
-NO_DATA = "no sample is left to score: the records are masked, or shorter than their burn-in"
+
+
+def no_data(records: Sequence[Record]) -> str:
+    """Why nothing can be scored, and what to do."""
+    advice = hold_advice(records)
+    return f"{_NO_DATA}. {advice}" if advice else _NO_DATA
+
+
+_NO_DATA = "no sample is left to score: the records are masked, or shorter than their burn-in"
 DIVERGED = (
     "the free run from the starting parameters does not stay finite: start from other parameters "
     "(`starts = 200` tries so many around them), or fit shorter runs with `window`"

@@ -37,8 +37,8 @@ from eoi_jax.models.plant import Plant
 from eoi_jax.refinement.estimate import (
     ALL_DIVERGED,
     DIVERGED,
-    NO_DATA,
     compared_with,
+    no_data,
     notes_on_runs,
     refinement_of,
     unanswered,
@@ -432,7 +432,7 @@ def _refined(nominal: Plant, records: tuple[Record, ...], question: _Question) -
     spans = spans_of(records, question.window)
     window = used_window(records, spans, question.window)
     if not any(np.any(span.use) for span in spans):
-        return unanswered(nominal, records, window, Status("no_data", NO_DATA))
+        return unanswered(nominal, records, window, Status("no_data", no_data(records)))
     scored = np.any([np.any(span.use, axis=0) for span in spans], axis=0)
     for name, any_scored in zip(nominal.outputs, scored, strict=True):
         check(bool(any_scored), f"records.outputs[{name}]", _SCORED, "none", _WHERE)

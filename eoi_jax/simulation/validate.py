@@ -26,7 +26,7 @@ from eoi_jax.data.holds import (
     with_hold,
 )
 from eoi_jax.data.input_holds import Hold
-from eoi_jax.data.masks import scored_samples, transient_samples
+from eoi_jax.data.masks import hold_advice, scored_samples, transient_samples
 from eoi_jax.data.record import Record
 from eoi_jax.data.windows import (
     Plan,
@@ -392,7 +392,8 @@ def _check_record(
         f"record {record.name}",
         f"must have known inputs for more than {timed(head, period)}, from which a free run starts",
         f"{timed(longest, period)} at most between two gaps",
-        "Fill in the inputs where they are certain, or lower `initial_samples`.",
+        hold_advice([record])
+        or "Fill in the inputs where they are certain, or lower `initial_samples`.",
     )
     parts = [part for _, part in driven_parts(record, head + 1)]
     runs = [plan(part, head, window, plant.rows) for part in parts]

@@ -1,5 +1,6 @@
 """Inputs that are logged only when they change, or seldom."""
 
+import re
 import warnings
 from typing import Any
 
@@ -82,3 +83,24 @@ def test_an_input_that_is_missing_now_and_then_is_not_filled_in():
     valve[100:150] = np.nan  # a fault of the logger
     record = record_of(valve, "zero")
     np.testing.assert_array_equal(np.flatnonzero(~record.input_valid), np.arange(100, 150))
+
+
+@pytest.mark.filterwarnings("ignore::eoi_jax.RecordWarning")
+def test_what_scores_no_sample_advises_to_declare_the_hold_of_a_seldom_input():
+    """An input at every 4th sample, an output at others."""
+    plant = eoi.plant_from_text(
+        {"a": "weather - p*a + b", "b": "q*a - b"}, {"p": 1.0, "q": 1.0}, ["a", "b"], ["weather"]
+    )
+
+    def logged(step, name):
+        y = np.c_[Y, np.where(np.arange(N) % 2 == 1, Y, np.nan)]
+        names = {"input_names": ("weather",), "output_names": ("a", "b")}
+        return eoi.Record(TIME, seldom(SLOPE, step), y, name, **names)
+
+    record = logged(4, "log")
+    advice = "In log all inputs are known together at 100 samples alone.*`hold`"
+    with pytest.raises(ValueError, match=f"measured at the same time.*{advice}"):
+        eoi.identify(plant, record)
+    with pytest.raises(ValueError, match=f"must have known inputs.*{advice}"):
+        eoi.refine(plant, logged(1, "full"), validation=record)
+    assert re.search(advice, eoi.refine(plant, record).status.message)
