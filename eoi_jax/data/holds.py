@@ -63,13 +63,13 @@ SETTINGS = HoldSettings()
 
 
 def undeclared_hold(records: Sequence[Record]) -> Hold | None:
-    """The hold that the samples suggest; None where all records declare theirs, or have no inputs.
+    """The hold that the samples suggest; None where all records declare theirs, or no input moves.
 
     One logger is taken to have made all records: each input is judged in the first one in which it
     moves.
     """
     undeclared = [record for record in records if not record.hold_declared]
-    if not undeclared or not records[0].inputs.shape[1]:
+    if not moving_inputs(records):
         return None
     if isinstance(undeclared[0].hold, str) and len({record.hold for record in undeclared}) == 1:
         return undeclared[0].hold

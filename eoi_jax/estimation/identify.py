@@ -21,6 +21,7 @@ from eoi_jax._status import NOT_RECORDED, EngineUsed, Status
 from eoi_jax.data.clipping import clipped_notes
 from eoi_jax.data.holds import SETTINGS as HOLD_SETTINGS
 from eoi_jax.data.record import Record
+from eoi_jax.data.record_notes import record_notes
 from eoi_jax.data.wrapped_outputs import wrapped_notes
 from eoi_jax.estimation.common_factors import CommonFactor, common_factors
 from eoi_jax.estimation.covariance import Certainty, DeferredCertainty, computed
@@ -337,7 +338,7 @@ def estimate(
         substeps=prepared.substeps,
     )
     filters = _stack_filters([lowpass.discretise(record.sample_period) for record in resampled])
-    notes = [f"{record.name}: {note}" for record in prepared.records for note in record.notes]
+    notes = record_notes(prepared.records)
     notes += short_record_notes(prepared.records, lowpass.cutoff, _NOT_USED_FOR)
     notes += precision_notes()
     run = single_pass(plant, observer, filters, steps)

@@ -231,3 +231,21 @@ def test_the_right_hold_is_found_from_a_start_that_needs_many_passes():
     result = eoi.identify(plant, eoi.Record.from_period(period, u, y))
     assert any(reason.startswith("hold zero") for reason in result.reasons)
     assert result.parameters["tau"] == pytest.approx(tau, rel=0.01)
+
+
+def test_of_a_constant_input_no_hold_is_tried():
+    time = 0.1 * np.arange(200)
+    y = np.exp(-time) + 1e-3 * np.random.default_rng(3).standard_normal(200)
+    record = eoi.Record(time, np.ones(200), y, input_names=("u",))
+    assert undeclared_hold([record]) is None
+    plant = eoi.Plant(lambda t, x, u, p: p.b * u[0] - x.y[0], {"b": 0.2}, 1, ("u",), ("y",))
+    for fit in (eoi.refine(plant, record), eoi.identify(plant, record)):
+        assert not any("hold" in note.lower() for note in fit.notes)
+
+
+def test_what_samples_suggest_of_a_hold_is_not_told_beside_what_fits():
+    record = held()
+    assert any(note.startswith("Hold taken as") for note in record.notes)
+    fit = eoi.identify(MASS, record)
+    assert any(reason.startswith("hold ") for reason in fit.reasons)
+    assert not any("Hold taken as" in note for note in fit.notes)
