@@ -31,6 +31,7 @@ class MaskSettings:
 
     certainty: float = 4.0  # standard deviations within which a velocity has no certain sign
     settling: int = 3  # steps after which an implicit observer slides: about the relative degree
+    seldom: float = 0.5  # share of the samples below which known inputs are no matter of gaps
 
 
 SETTINGS = MaskSettings()
@@ -283,12 +284,11 @@ def hold_advice(records: Sequence[Record]) -> str:
     """
     for record in records:
         count = int(np.sum(record.input_valid))
-        if count < _MASKED_INPUTS * len(record):
+        if count < SETTINGS.seldom * len(record):
             return _DECLARE_HOLD.format(record.name, count)
     return ""
 
 
-_MASKED_INPUTS = 0.5  # share of samples: gaps are fewer, an input with a rate of its own has more
 _DECLARE_HOLD = (
     "In {} all inputs are known together at {} samples alone: of an input that is logged "
     'seldom say what it does in between, with `hold`: "linear" or "zero" for each input, in '

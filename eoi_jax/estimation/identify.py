@@ -340,12 +340,11 @@ def estimate(
     filters = _stack_filters([lowpass.discretise(record.sample_period) for record in resampled])
     notes = record_notes(prepared.records)
     notes += short_record_notes(prepared.records, lowpass.cutoff, _NOT_USED_FOR)
-    notes += precision_notes()
     run = single_pass(plant, observer, filters, steps)
     again = course is None and passes > 1 and prepared.follows(plant)
     last_steps = (None, settings, None) if again else (bias_correction, settings, forgetting)
     driver = _Driver(plant, observer, run, steps, prepared.substeps, passes, callback, *last_steps)
-    fit = driver.run(prepared.records, lowpass, reasons, tuple(notes))
+    fit = driver.run(prepared.records, lowpass, reasons, (*notes, *precision_notes()))
     if again and fit.status.fits:
         return estimate(plant, prepared, stated, passes, transient, callback, bias_correction,
                         settings, forgetting, fit.plant)  # fmt: skip
