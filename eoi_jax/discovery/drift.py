@@ -46,7 +46,8 @@ def drift_of_parameters(identification: Identification, level: float) -> float:
     ]
     scores = np.einsum("sja,sj->sa", rows, remaining)
     inverse = np.asarray(solution.inverse)
-    covariance, freedom = covariance_of_estimate(scores, rows, inverse, lengths, residuals)
+    count = 2 * int(np.sum(free))
+    covariance, freedom = covariance_of_estimate(scores, rows, inverse, lengths, residuals, count)
     variances = np.diagonal(covariance)[len(free) :]
     slopes = np.asarray(solution.increment)[len(free) :]
     estimated = variances > 0.0

@@ -189,7 +189,7 @@ def with_differing_parameters(
     """
     runs, judging, answer = discovery.windows_after, discovery.held_out, discovery.found
     is_left = discovery.status.code in ("partial", "unexplained") or (
-        discovery.status.code == "complete" and bool(beyond_noise(runs, judging))
+        discovery.status.code == "complete" and bool(beyond_noise(runs))
     )
     if not is_left or runs is None or not answer.status.fits or discovery.plant.has_algebraic:
         return discovery

@@ -222,6 +222,7 @@ def _as_formulas(estimator: OnlineEstimator) -> _Traced:
         definitions=tuple(definitions),
         delays={},
         lags={},
+        limits={},
         rough=(),
         arguments=(),
     )

@@ -236,7 +236,8 @@ def unit_of_rates(units: Iterable[str]) -> str:
         product = _read(_spelled(unit))
         if product is not None and product.powers.keys() == {"s"}:
             seconds.add(round(product.factor ** (1.0 / product.powers["s"]), 6))
-    return {60.0: "min", 3600.0: "h", 86400.0: "d"}.get(*seconds, "") if len(seconds) == 1 else ""
+    names = {60.0: "min", 3600.0: "h", 86400.0: "d"}
+    return names.get(seconds.pop(), "") if len(seconds) == 1 else ""
 
 
 def _without_radians(unit: Dimension) -> dict[str, int]:
