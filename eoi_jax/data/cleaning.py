@@ -257,8 +257,8 @@ def scored_samples(
     names, finite = (*u_names, *y_names), np.isfinite(np.hstack([u, y]))
     for key, column in zip(names, finite.T, strict=True):
         advice = _NO_OUTPUT if key in y_names else "Write 0 where nothing acted."
-        got = "NaN or infinity throughout"
-        check(bool(column.any()), key, "must hold a finite value", got, advice)
+        value = "NaN or infinity throughout"
+        check(bool(column.any()), key, "must hold a finite value", value, advice)
     u_good = np.asarray(finite[:, : len(u_names)].all(axis=1))
     y_good = finite[:, len(u_names) :]
     slow = {key for key, column in zip(y_names, y_good.T, strict=True) if is_slow(column)}

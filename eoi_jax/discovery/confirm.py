@@ -70,10 +70,10 @@ def beyond_noise(runs: Validation | None, conclusion: str = HIDDEN) -> list[str]
         runs: free runs in windows, or whole ones of short records; None: no sentence.
         conclusion: end of the sentence.
     """
-    return [] if runs is None else beyond(runs, sensor_noise(runs), conclusion)
+    return [] if runs is None else excesses(runs, sensor_noise(runs), conclusion)
 
 
-def beyond(
+def excesses(
     runs: Validation, expected: Float[np.ndarray, " ny"], conclusion: str = HIDDEN
 ) -> list[str]:
     """A sentence for each output whose error far exceeds what is expected of a right model.

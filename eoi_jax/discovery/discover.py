@@ -31,11 +31,9 @@ from eoi_jax.data.record_notes import record_notes
 from eoi_jax.data.resampling import Real
 from eoi_jax.discovery.additions import fit_notes
 from eoi_jax.discovery.curves import misses_a_law, with_curves
+from eoi_jax.discovery.doubts import leaves_more, leaves_open, misses_widely
 from eoi_jax.discovery.hold_choice import Searched, with_best_hold, with_held_inputs
 from eoi_jax.discovery.in_free_runs import (
-    leaves_more,
-    leaves_open,
-    misses_widely,
     unless_refined_is_better,
     with_free_runs,
     with_further_effects,
@@ -223,11 +221,11 @@ class _Search:
         discovery = search.in_free_runs(searched, records, held_out)
         discovery = with_held_inputs(discovery, search.answered, records, held_out)
         discovery = partial_where_more_is_left(discovery)
-        told = with_differences(discovery, records)
-        if told.status is not discovery.status:
-            return told
+        noted = with_differences(discovery, records)
+        if noted.status is not discovery.status:
+            return noted
         self.progress("comparing the records", 2 + _RULES.rounds, STAGES)
-        return with_differing_parameters(told, records, self.effects, self.alpha)
+        return with_differing_parameters(noted, records, self.effects, self.alpha)
 
     def answered(self, records: tuple[Record, ...], held_out: tuple[Record, ...]) -> Discovery:
         """What the injection and free runs say of these records, whose hold is as it is."""

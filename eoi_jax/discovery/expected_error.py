@@ -18,7 +18,7 @@ Derivation: variance of a prediction by linear least squares, L. Ljung, *System 
 import numpy as np
 from jaxtyping import Float
 
-from eoi_jax.discovery.confirm import beyond
+from eoi_jax.discovery.confirm import excesses
 from eoi_jax.discovery.judge import Judged
 from eoi_jax.refinement.first_runs import first_runs
 from eoi_jax.refinement.result import Refinement
@@ -45,9 +45,9 @@ def misses(model: Judged) -> list[str]:
 
 def _excess(model: Judged, run: Validation) -> list[str]:
     """Of runs of one length; what a right model may err by is asked where the noise is exceeded."""
-    if not beyond(run, sensor_noise(run)):
+    if not excesses(run, sensor_noise(run)):
         return []
-    return beyond(run, expected_error(model.refinement, run))
+    return excesses(run, expected_error(model.refinement, run))
 
 
 def expected_error(refinement: Refinement, run: Validation) -> Float[np.ndarray, " ny"]:
@@ -61,17 +61,17 @@ def expected_error(refinement: Refinement, run: Validation) -> Float[np.ndarray,
     spans = spans_of(records, run.window)
     problem, _, weighed = first_runs(plant, records, spans, run.substeps or None)
     slopes = weighed[..., :-1] / (np.asarray(problem.scale) * noise)[:, None]
-    own = slopes.shape[-1] - len(problem.free)
+    size_of_start = slopes.shape[-1] - len(problem.free)
     covariance = _covariance(refinement, noise)[np.ix_(problem.free, problem.free)]
     share, count = np.zeros(len(noise)), np.zeros(len(noise))
     for slope, span, use in zip(slopes, spans, problem.use, strict=True):
         scored = run.scored_at[span.record]
         head = int(np.argmax(scored)) if np.any(scored) else len(scored)
-        of_start, of_theta = slope[..., :own], slope[..., own:]
-        seen = of_start[:head].reshape(-1, own)
+        start_slopes, theta_slopes = slope[..., :size_of_start], slope[..., size_of_start:]
+        seen = start_slopes[:head].reshape(-1, size_of_start)
         start = np.linalg.pinv(seen.T @ seen, rcond=1e-10, hermitian=True)
-        part = np.einsum("tjs,sr,tjr->tj", of_start, start, of_start)
-        part += np.einsum("tjp,pq,tjq->tj", of_theta, covariance, of_theta)
+        part = np.einsum("tjs,sr,tjr->tj", start_slopes, start, start_slopes)
+        part += np.einsum("tjp,pq,tjq->tj", theta_slopes, covariance, theta_slopes)
         counted = use & (np.arange(len(use)) >= head)[:, None]
         share += np.sum(np.where(counted, part, 0.0), axis=0)
         count += np.sum(counted, axis=0)

@@ -14,8 +14,8 @@ from eoi_jax.data.holds import with_hold
 from eoi_jax.data.record import Record
 from eoi_jax.data.windows import window_length
 from eoi_jax.discovery.confirm import beyond_noise
+from eoi_jax.discovery.doubts import is_doubtful
 from eoi_jax.discovery.free_run_trials import refined
-from eoi_jax.discovery.in_free_runs import is_doubtful
 from eoi_jax.discovery.judge import Judge, mean_error
 from eoi_jax.discovery.result import Discovery
 from eoi_jax.discovery.rules import RULES

@@ -87,8 +87,8 @@ def changes_in_time(discovery: Discovery) -> bool:
     maps = [item for item in discovery.diagnosis.strongest if item is not None]
     if any(item.variable == "time" for item in maps):
         return True
-    least = max([RULES.answer.half, *(item.explained for item in maps)])
-    return drift_of_parameters(discovery.found, discovery.diagnosis.level) > least
+    limit = max([RULES.answer.half, *(item.explained for item in maps)])
+    return drift_of_parameters(discovery.found, discovery.diagnosis.level) > limit
 
 
 def with_differences(discovery: Discovery, records: Sequence[Record]) -> Discovery:

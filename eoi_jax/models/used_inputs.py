@@ -55,13 +55,13 @@ def product_inputs(plant: Plant, points: int = 16) -> Bool[np.ndarray, "ny nu"]:
 
     Arguments are those of `used_inputs`.
     """
-    alone = np.zeros((len(plant.outputs), len(plant.inputs)), dtype=bool)
+    multiplied = np.zeros((len(plant.outputs), len(plant.inputs)), dtype=bool)
     t, y, u = _points(plant, points)
     for k in range(len(plant.inputs)):
         single = np.where(np.arange(len(plant.inputs)) == k, u, 0.0)
         slopes, _ = along(_slopes, ("fixed", "rows"), plant, (t, 0.0 * y, single))
-        alone[:, k] = np.all(slopes[..., k] == 0.0, axis=0)
-    return alone & used_inputs(plant, points)
+        multiplied[:, k] = np.all(slopes[..., k] == 0.0, axis=0)
+    return multiplied & used_inputs(plant, points)
 
 
 def _points(plant: Plant, points: int) -> tuple[Any, Any, Any]:

@@ -264,8 +264,8 @@ def _status(
     if faint:
         theta = fit.problem.completed(outcome.unknowns.theta)
         plant = fit.problem.kernel.plant.with_parameters(theta)
-        near = ", ".join(f"{name} near {plant.parameters[name]:.3g}" for name in faint)
-        return Status("unidentifiable", _FAINT.format(near))
+        values = ", ".join(f"{name} near {plant.parameters[name]:.3g}" for name in faint)
+        return Status("unidentifiable", _FAINT.format(values))
     if predicted_reduction < CONVERGED:
         return _converged(fit.steps)
     if bool(outcome.exhausted):

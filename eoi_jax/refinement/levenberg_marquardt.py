@@ -158,8 +158,8 @@ class _Arrow:
         cost = np.sum(error**2, axis=(1, 2))
         floor = _SETTINGS.cost_floor * self.scored
         predicted_reduction = (cost - remaining_cost) / np.maximum(cost, floor)
-        together = np.sqrt(np.maximum(cost - remaining_cost, floor))
-        cancelling = np.max(np.abs(step), axis=1, initial=0.0) / together
+        change = np.sqrt(np.maximum(cost - remaining_cost, floor))
+        cancelling = np.max(np.abs(step), axis=1, initial=0.0) / change
         return _Reduced(theta, np.asarray(at.starts), rows, triangles, start_lengths, lengths,
                         predicted_reduction, cancelling, cost)  # fmt: skip
 

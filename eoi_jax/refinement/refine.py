@@ -410,8 +410,8 @@ def _start_kept(
     error = unweighed(problem, sensitivities)
     weights = weighed(problem, rms(error, problem.use))
     sensitivities = sensitivities * np.asarray(weights.scale / problem.scale)[:, None]
-    none = jnp.asarray(0.0)
-    outcome = Outcome(unknowns, unknowns, np.asarray(np.nan), none, none, jnp.asarray(0),
+    zero = jnp.asarray(0.0)
+    outcome = Outcome(unknowns, unknowns, np.asarray(np.nan), zero, zero, jnp.asarray(0),
                       jnp.asarray(False))  # fmt: skip
     fit = Fit(weights, sensitivities, error, outcome, result.steps, 1)
     start = refinement_of(fit, result.records, spans, result.window)

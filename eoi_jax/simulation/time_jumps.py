@@ -19,7 +19,7 @@ def time_jump(
     time: Float[np.ndarray, " time"],
     bisections: int = 30,
     share: float = 0.5,
-    least: float = 1e-6,
+    smallest: float = 1e-6,
 ) -> float | None:
     """The first instant at which an equation jumps with time alone, whatever the state.
 
@@ -28,7 +28,7 @@ def time_jump(
         time: grid, between whose instants it is looked for [s].
         bisections: of each interval; in the last of them a smooth term changes by a billionth.
         share: of the change over an interval that is left if it is a jump.
-        least: jump that counts, over the largest of all terms.
+        smallest: jump that counts, over the largest of all terms.
 
     Returns:
         The instant [s]; None where all equations are smooth in time.
@@ -50,7 +50,7 @@ def time_jump(
         rates_high = np.where(in_lower[:, None], rates, rates_high)
     remaining = np.max(np.abs(rates_high - rates_low), axis=1)
     # Of a whole period in each interval nothing changes but by rounding.
-    floor = np.maximum(share * np.max(change, axis=1), least * np.max(np.abs(rates_low)))
+    floor = np.maximum(share * np.max(change, axis=1), smallest * np.max(np.abs(rates_low)))
     jumps = remaining > floor
     return float(high[np.argmax(jumps)]) if np.any(jumps) else None
 

@@ -9,12 +9,10 @@ from found import discovery
 import eoi_jax as eoi
 from eoi_jax import effects
 from eoi_jax._status import Status
+from eoi_jax.discovery.doubts import leaves_more, leaves_open, misses_widely
 from eoi_jax.discovery.free_run_search import search_free_runs
 from eoi_jax.discovery.in_free_runs import (
     contradicts_injection,
-    leaves_more,
-    leaves_open,
-    misses_widely,
     unless_refined_is_better,
     with_further_effects,
 )

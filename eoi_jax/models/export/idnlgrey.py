@@ -78,8 +78,8 @@ def idnlgrey_script(plant: Plant, model: Program, name: str, version: str) -> st
 
 def _parameters(model: Program) -> list[tuple[Variable, float]]:
     """Those of the formulas: a delay, or a limit before the model, has no place in them."""
-    outside = on_input(model)
-    return [pair for pair in model.parameters if pair[0].name not in outside]
+    on_inputs = on_input(model)
+    return [pair for pair in model.parameters if pair[0].name not in on_inputs]
 
 
 def _remarks(model: Program) -> list[str]:
