@@ -29,6 +29,7 @@ from benchmarks.measured.found_field_cases import FIELD
 from benchmarks.measured.found_flow_cases import FLOWS
 from benchmarks.measured.found_fresh_cases import FRESH
 from benchmarks.measured.found_heated_cases import HEATED
+from benchmarks.measured.found_joint_cases import JOINTS
 from benchmarks.measured.found_kit_cases import KITS
 from benchmarks.measured.found_late_cases import LATE
 from benchmarks.measured.found_latest_cases import LATEST
@@ -431,4 +432,5 @@ FOUND: Mapping[str, FoundSet] = {
     **ACTUATED,
     **HEATED,
     **FIELD,
+    **JOINTS,
 }
