@@ -148,6 +148,12 @@ class Judge:
         """Lengths of the runs that models are refined over [s]; None of whole records."""
         return tuple(dict.fromkeys((self.longest, self.window)))
 
+    @property
+    def shortest_head(self) -> int:
+        """Samples that tell the start of a run, at least, also on the records of the fit."""
+        heads = [self.head, self.whole_head]
+        return min(heads if self.of_fit is None else [*heads, self.of_fit.shortest_head])
+
     def without_whole_runs(self) -> "Judge":
         """A judge by two lengths of windows, for models of which whole runs say nothing."""
         if self.window is None:

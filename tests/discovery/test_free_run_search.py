@@ -13,7 +13,7 @@ from eoi_jax.discovery import free_run_search, free_run_trials, in_free_runs
 from eoi_jax.discovery.free_run_candidates import candidates
 from eoi_jax.discovery.free_run_evidence import without_stand_ins
 from eoi_jax.discovery.free_run_search import FreeRunAnswer, search_free_runs
-from eoi_jax.discovery.free_run_trials import Search
+from eoi_jax.discovery.free_run_trials import Search, over_both
 from eoi_jax.discovery.judge import Judge, Judged, _standardised, mean_error, only_otherwise
 from eoi_jax.discovery.probability import Contest
 from eoi_jax.models.augmented import augmented, place
@@ -973,3 +973,18 @@ def test_of_an_explanation_goes_what_free_runs_do_not_tell_beside_their_effects(
     assert left.placed == ((level, square) if stays else (square,))
     if not stays:
         assert left.refinement.parameters == pytest.approx({"b": 3.0, "a": 0.8}, rel=0.03)
+
+
+def test_a_model_with_more_states_than_samples_tell_is_not_tried():
+    """Runs of twelve samples, of which four tell the start: a plate with three further stores."""
+    record = measured(1)
+    short = eoi.Record(record.time[:12], record.inputs[:12], record.outputs[:12], hold="zero")
+    judge = Judge.of((short,), PLATE)
+    assert judge is not None
+    assert judge.shortest_head == 4
+    stores = {"internal": lambda t, x, u, p: -x.z, "internal_initial": [0.0] * 3}
+    wide = eoi.Plant(
+        heated, dict(PLATE.parameters), inputs=PLATE.inputs, outputs=PLATE.outputs, **stores
+    )
+    assert over_both(wide, (), (record,), judge) == []
+    assert len(over_both(PLATE, (), (record,), judge)) == 1
