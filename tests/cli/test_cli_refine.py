@@ -309,6 +309,7 @@ def test_a_common_factor_is_said_with_what_to_fix_and_not_to_start_elsewhere(
         "parameters": ["J", "K", "b", "k"],
         "combinations": ["K/J", "b/J", "k/J"],
         "fix": ["J"],
+        "switches": False,
     }
 
 

@@ -182,7 +182,7 @@ def test_wrong_calls_are_named():
         remaining(lost)
     with pytest.raises(ValueError, match="`level` must lie in"):
         remaining(result, level=2.0)
-    with pytest.raises(ValueError, match=r"`validation\[.*\]` must have valid samples after the 9"):
+    with pytest.raises(ValueError, match=r"`validation\[.*\]` must have valid samples after the 8"):
         remaining(result, validation=eoi.Record(TIME[:8] + 1e3, force()[:8], np.ones(8)))
     with pytest.raises(ValueError, match=r"`validation\[.*\]` must not be one of the records"):
         remaining(result, validation=record)
