@@ -15,11 +15,13 @@ from eoi_jax.models.effects import (
     Curve,
     Drift,
     InputCurve,
+    InputQuadratic,
     Leak,
     Overflow,
     SinusoidalDisturbance,
     StribeckFriction,
 )
+from eoi_jax.models.used_inputs import product_inputs
 from eoi_jax.simulation.sensor_noise import sensor_noise
 
 _RULES = RULES.questions
@@ -51,6 +53,7 @@ def leaves_open(discovery: Discovery) -> bool:
     in_time = _in_time(discovery.added) and _misses_by_more_than_noise(discovery)
     doubted = in_time or _bends(discovery.added) or _vanishes(discovery.added)
     doubted |= may_be_store(discovery.added) and not is_small
+    doubted |= bends_factor(discovery)
     return code in ("unexplained", "no_data") or (code == "complete" and doubted)
 
 
@@ -102,6 +105,18 @@ def _misses_by_more_than_noise(discovery: Discovery) -> bool:
 def may_be_store(added: Sequence[Added]) -> bool:
     """Whether a leak stands beside an offset: a store that warms slowly is lost to as a level."""
     return _share_output(added, Leak, ConstantOffset)
+
+
+def bends_factor(discovery: Discovery) -> bool:
+    """Whether the characteristic of an input is bent that stands in products with others alone.
+
+    A term in proportion to the input is missing there as likely: the voltage that a diode takes, in
+    a converter whose duty is the input. The bent factor changes all other products with it.
+    """
+    plant = discovery.declared.nominal
+    multiplied = dict(zip(plant.inputs, np.any(product_inputs(plant), axis=0), strict=True))
+    bent = [item for item in discovery.added if isinstance(item.effect, InputQuadratic)]
+    return any(bool(multiplied.get(item.output, False)) for item in bent)
 
 
 def _share_output(added: Sequence[Added], *kinds: type | UnionType) -> bool:

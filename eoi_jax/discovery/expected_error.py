@@ -15,14 +15,19 @@ Derivation: variance of a prediction by linear least squares, L. Ljung, *System 
 2nd ed., appendix II.
 """
 
-import numpy as np
-from jaxtyping import Float
+from collections.abc import Sequence
+from typing import NamedTuple
 
+import numpy as np
+from jaxtyping import Bool, Float
+
+from eoi_jax.data.record import Record
 from eoi_jax.discovery.confirm import excesses
 from eoi_jax.discovery.judge import Judged
+from eoi_jax.models.plant import Plant
 from eoi_jax.refinement.first_runs import first_runs
 from eoi_jax.refinement.result import Refinement
-from eoi_jax.refinement.spans import spans_of
+from eoi_jax.refinement.spans import Span, spans_of
 from eoi_jax.simulation.error_growth import returns
 from eoi_jax.simulation.sensor_noise import sensor_noise
 from eoi_jax.simulation.validate import Validation
@@ -54,42 +59,67 @@ def expected_error(refinement: Refinement, run: Validation) -> Float[np.ndarray,
     """Root mean square of the error of each output, were the model right [unit of y].
 
     Args:
-        refinement: of the model, with the covariance of its parameters.
+        refinement: of the model, whose records tell the parameters.
         run: its free runs, whole or in windows.
     """
     noise, plant, records = sensor_noise(run), refinement.plant, run.records
-    spans = spans_of(records, run.window)
-    problem, _, weighed = first_runs(plant, records, spans, run.substeps or None)
-    slopes = weighed[..., :-1] / (np.asarray(problem.scale) * noise)[:, None]
-    size_of_start = slopes.shape[-1] - len(problem.free)
-    covariance = _covariance(refinement, noise)[np.ix_(problem.free, problem.free)]
+    covariance = _covariance(refinement, noise)
     share, count = np.zeros(len(noise)), np.zeros(len(noise))
-    for slope, span, use in zip(slopes, spans, problem.use, strict=True):
+    spans = spans_of(records, run.window)
+    of_runs = _slopes(plant, records, spans, run.substeps, noise)
+    for span, slopes in zip(spans, of_runs, strict=True):
         scored = run.scored_at[span.record]
         head = int(np.argmax(scored)) if np.any(scored) else len(scored)
-        start_slopes, theta_slopes = slope[..., :size_of_start], slope[..., size_of_start:]
-        seen = start_slopes[:head].reshape(-1, size_of_start)
-        start = np.linalg.pinv(seen.T @ seen, rcond=1e-10, hermitian=True)
-        part = np.einsum("tjs,sr,tjr->tj", start_slopes, start, start_slopes)
-        part += np.einsum("tjp,pq,tjq->tj", theta_slopes, covariance, theta_slopes)
-        counted = use & (np.arange(len(use)) >= head)[:, None]
+        seen = slopes.start[:head].reshape(-1, slopes.start.shape[-1])
+        start = _inverse(seen.T @ seen)
+        part = np.einsum("tjs,sr,tjr->tj", slopes.start, start, slopes.start)
+        part += np.einsum("tjp,pq,tjq->tj", slopes.theta, covariance, slopes.theta)
+        counted = slopes.use & (np.arange(len(slopes.use)) >= head)[:, None]
         share += np.sum(np.where(counted, part, 0.0), axis=0)
         count += np.sum(counted, axis=0)
     mean = np.nan_to_num(share / np.maximum(count, 1.0), posinf=0.0)
     return noise * np.sqrt(1.0 + np.maximum(mean, 0.0))
 
 
-def _covariance(refinement: Refinement, noise: Float[np.ndarray, " ny"]) -> np.ndarray:
-    """That of the parameters, were the residual of the fit the noise; zero where it is not known.
+class _Slopes(NamedTuple):
+    """Of one run: derivatives of the outputs over their noise, and which samples are scored."""
 
-    Of an output that the fit misses by more than another one less is known: what it tells counts
-    as much as that of the one where both are nearest.
+    start: Float[np.ndarray, "time ny own"]
+    theta: Float[np.ndarray, "time ny free"]
+    use: Bool[np.ndarray, "time ny"]
+
+
+def _slopes(
+    plant: Plant,
+    records: Sequence[Record],
+    spans: Sequence[Span],
+    substeps: int,
+    noise: Float[np.ndarray, " ny"],
+) -> list[_Slopes]:
+    problem, _, weighed = first_runs(plant, records, spans, substeps or None)
+    slopes = weighed[..., :-1] / (np.asarray(problem.scale) * noise)[:, None]
+    parts = np.split(slopes, [slopes.shape[-1] - len(problem.free)], axis=-1)
+    return [_Slopes(*run) for run in zip(*parts, problem.use, strict=True)]
+
+
+def _covariance(refinement: Refinement, noise: Float[np.ndarray, " ny"]) -> np.ndarray:
+    """That of the free parameters, were the residual of the fit the noise.
+
+    The starts of its runs are estimated as well: what they explain of the slopes tells nothing.
     """
-    size, information = len(refinement.parameters), refinement.information
-    if information is None or not np.all(np.isfinite(information)):
-        return np.zeros((size, size))
+    records, plant = refinement.records, refinement.plant
+    spans = spans_of(records, refinement.window)
+    information = 0.0
+    for slopes in _slopes(plant, records, spans, refinement.substeps, noise):
+        start, theta = (part.reshape(-1, part.shape[-1]) for part in slopes[:2])
+        crossed = start.T @ theta
+        information += theta.T @ theta - crossed.T @ _inverse(start.T @ start) @ crossed
+    return _inverse(np.asarray(information))
+
+
+def _inverse(information: Float[np.ndarray, "size size"]) -> Float[np.ndarray, "size size"]:
+    """Pseudoinverse, whatever the units: zero for what leaves no trace."""
     lengths = np.sqrt(np.diagonal(information))
     lengths = np.where(lengths > 0.0, lengths, np.inf)
-    scaled = np.linalg.pinv(information / np.outer(lengths, lengths), rcond=1e-10, hermitian=True)
-    share = np.max(noise / np.maximum(refinement.rmse, np.finfo(float).tiny))
-    return min(share, 1.0) ** 2 * scaled / np.outer(lengths, lengths)
+    scaled = information / np.outer(lengths, lengths)
+    return np.linalg.pinv(scaled, rcond=1e-10, hermitian=True) / np.outer(lengths, lengths)

@@ -18,7 +18,7 @@ from eoi_jax.discovery.additions import (
 )
 from eoi_jax.discovery.confirm import beyond_noise
 from eoi_jax.discovery.diagnose import diagnose
-from eoi_jax.discovery.doubts import may_be_store, stands_in
+from eoi_jax.discovery.doubts import bends_factor, may_be_store, stands_in
 from eoi_jax.discovery.expected_error import misses
 from eoi_jax.discovery.free_run_candidates import Model
 from eoi_jax.discovery.free_run_evidence import (
@@ -87,7 +87,7 @@ def with_free_runs(
     if answer is None:
         return discovery
     justified = rival is not None and not stands_in(discovery.added)
-    doubted = justified and may_be_store(discovery.added)
+    doubted = justified and (may_be_store(discovery.added) or bends_factor(discovery))
     if doubted and not surpasses(answer, discovery.plant, placed_effects(discovery)):
         return discovery
     outcome = answered(discovery, answer, effects, lowpass)

@@ -227,6 +227,36 @@ def test_a_loss_to_a_level_may_stand_for_a_store_where_something_is_left(error, 
     assert leaves_open(replace(complete, after=runs, windows_after=None)) == doubted
 
 
+@pytest.mark.parametrize(
+    ("level", "rise", "error", "doubted"),
+    [
+        (1.0, 0.3, 0.1, False),
+        (1.0, 1.2, 0.1, True),
+        (1.0, 0.3, 0.6, True),
+        (0.0, 1.0, np.nan, True),
+    ],
+)
+def test_friction_that_falls_to_less_than_half_may_stand_for_drag(level, rise, error, doubted):
+    """It makes up for a damping that is too large at low speed; or its level is not told."""
+    answer, values = discovery(), {"level": level, "rise": rise, "velocity": 0.5}
+    friction = Added(effects.StribeckFriction(), "position", values, {**values, "level": error}, "")
+    complete = replace(answer, added=(friction,), status=Status("complete", ""), in_sample=False)
+    assert leaves_open(complete) == doubted
+
+
+@pytest.mark.parametrize(("in_product", "doubted"), [(True, True), (False, False)])
+def test_a_bent_input_that_multiplies_others_may_stand_for_a_term_of_its_own(in_product, doubted):
+    def spring(t, x, u, p):
+        factor = x.y[0] if in_product else 1.0
+        return p.k * u * factor - x.y[0] - x.y[1]
+
+    plant = eoi.Plant(spring, {"k": 1.0}, 2, inputs=("force",), outputs=("position",))
+    answer = discovery()
+    bent = Added(effects.InputQuadratic(), "force", {}, {}, "")
+    answer = replace(answer, declared=replace(answer.declared, nominal=plant), added=(bent,))
+    assert leaves_open(replace(answer, status=Status("complete", ""), in_sample=False)) == doubted
+
+
 @pytest.mark.parametrize("in_sample", [False, True])
 def test_a_model_without_an_estimate_is_searched_in_free_runs_where_records_are_held_out(in_sample):
     """Where noise hides the motion from the passes, free runs may show it."""

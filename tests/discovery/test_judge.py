@@ -12,6 +12,8 @@ import eoi_jax as eoi
 from eoi_jax import effects
 from eoi_jax.discovery import in_free_runs
 from eoi_jax.discovery import judge as judge_module
+from eoi_jax.discovery.confirm import excesses
+from eoi_jax.discovery.expected_error import expected_error
 from eoi_jax.discovery.free_run_evidence import long_run_ratio, lost_on_held_out
 from eoi_jax.discovery.free_run_search import search_free_runs
 from eoi_jax.discovery.judge import (
@@ -26,7 +28,8 @@ from eoi_jax.discovery.rules import RULES
 from eoi_jax.models.augmented import place
 from eoi_jax.models.placements import placements
 from eoi_jax.refinement.refine import refine_once
-from eoi_jax.simulation.validate import judged_runs
+from eoi_jax.simulation.sensor_noise import sensor_noise
+from eoi_jax.simulation.validate import judged_runs, validate
 
 
 def swung(t, x, u, p):
@@ -526,3 +529,39 @@ def test_dry_friction_is_found_where_the_output_is_the_speed_of_the_motion(dry):
         level = found.plant.parameters["rate_friction_level"]
         assert level == pytest.approx(dry, rel=0.1)
         assert found.plant.parameters["damping"] == pytest.approx(0.3, rel=0.15)
+
+
+def grown(count, seed, noise=0.05):
+    """A culture that grows tenfold from a start that is told by few samples."""
+    time = np.linspace(0.0, 4.0, count)
+    error = noise * np.random.default_rng(seed).standard_normal((count, 1))
+    y = 0.2 * np.exp(0.6 * time)[:, None] + error
+    return eoi.Record(time, np.zeros((count, 0)), y, f"batch {seed}")
+
+
+CULTURE = eoi.Plant(lambda t, x, u, p: p.rate * x.y[0], {"rate": 0.6}, inputs=())
+
+
+def test_a_right_model_is_expected_to_miss_by_the_error_of_its_start_too():
+    """The mean square over many batches is that which the derivation says, not that of noise."""
+    fit = refine_once(CULTURE, tuple(grown(20, seed) for seed in range(3)), None)
+    ratios, levels = [], []
+    for seed in range(100, 140):
+        judge = Judge.of((grown(20, seed),), CULTURE)
+        assert judge is not None
+        run = judge.runs(fit.plant)[0]
+        levels.append(expected_error(fit, run)[0] / sensor_noise(run)[0])
+        ratios.append(run.rmse[0] / 0.05)
+    reached = np.sqrt(np.mean(np.square(ratios)))
+    assert np.mean(levels) > 1.5
+    assert reached == pytest.approx(np.mean(levels), rel=0.25)
+
+
+def test_noise_that_is_read_off_few_samples_may_be_small_by_chance():
+    """A misfit of 2.2 times the noise: of two hundred samples it is told, of twelve it is not."""
+    told = []
+    for count in (12, 200):
+        record = grown(count, 1)
+        run = validate(CULTURE, record, initial_samples=4)
+        told.append(excesses(replace(run, rmse=np.array([2.2])), np.array([1.0])))
+    assert [len(sentences) for sentences in told] == [0, 1]
