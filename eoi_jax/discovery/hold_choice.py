@@ -39,19 +39,20 @@ class Searched:
         discovery: its answer.
         partial: models with the sets that the residual justifies, each with its effects, the last
             one first, where none explains enough of it; with the values of the search.
-        lead: the first of these, fitted again, that improves free runs; None without one.
+        lead: the first of these, fitted again, that improves on the free runs of a discovery before
+            any effect; None without one.
     """
 
     discovery: Discovery
     partial: tuple[tuple[Plant, tuple[Placed, ...]], ...] = ()
-    lead: Callable[[], PartialExplanation | None] = lambda: None
+    lead: Callable[[Discovery], PartialExplanation | None] = lambda _: None
 
     @property
     def with_lead(self) -> Discovery:
         """The answer, with the set that comes nearest where there is none."""
         lead = self.discovery.lead
         if lead is None and self.discovery.status.code == "unexplained":
-            lead = self.lead()
+            lead = self.lead(self.discovery)
         return replace(self.discovery, lead=lead)
 
 

@@ -45,7 +45,7 @@ from eoi_jax.models.effects import ParameterDependence
 from eoi_jax.models.effects.effect import AbstractEffect
 from eoi_jax.models.placements import placements
 from eoi_jax.models.plant import Plant
-from eoi_jax.simulation.validate import FreeRuns
+from eoi_jax.simulation.validate import FreeRuns, whole_and_windows
 
 _RULES = RULES.answer
 STAGES = _RULES.rounds + 3
@@ -95,7 +95,7 @@ def search_injection(
     if quiet or not is_open:
         return Searched(discovery)
     partial = tuple(step[:2] for step in reversed(steps) if not not_simulated(step.model))
-    return Searched(discovery, partial, lambda: _lead(task, steps, rounds, runs_before()))
+    return Searched(discovery, partial, lambda answer: _lead(task, steps, rounds, answer))
 
 
 def _dependences_beside(
@@ -336,15 +336,25 @@ def _added(
 
 
 def _lead(
-    task: Task, steps: Sequence[Step], rounds: Sequence[RoundResult], prior: FreeRuns
+    task: Task, steps: Sequence[Step], rounds: Sequence[RoundResult], answer: Discovery
 ) -> PartialExplanation | None:
-    """The last set that improves the free runs, though it explains too little to be an answer."""
+    """The last set that improves the free runs, though it explains too little to be an answer.
+
+    It is compared with the free runs of the answer before any effect: the declared model may have
+    been refined. The records tell the size of each of its effects.
+    """
+    if answer.before is None:
+        return None
+    short = answer.windows_before
+    lengths = None if short is None else short.window, answer.before.window
     for model, placed, step_rounds in reversed(steps):
         if not_simulated(model):
             continue
         refit, _ = refitted(task, model)
-        runs = free_runs(task, refit.plant)
-        if refit.status.ok and holds(prior, runs):
+        if not (refit.status.ok and all(has_size(item, refit) for item in placed)):
+            continue
+        runs = whole_and_windows(refit.plant, answer.held_out, *lengths)
+        if holds((answer.before, short), runs):
             share, _, _ = explained(rounds if placed is steps[-1].placed else step_rounds)
             added = _added(task, refit, dict.fromkeys(placed))
             return PartialExplanation(added, share, refit, *runs)

@@ -5,12 +5,15 @@ from dataclasses import replace
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from found import discovery
+from found import DECLARED, HELD_OUT, PLACED, discovery
 from scipy.integrate import solve_ivp
 
 import eoi_jax as eoi
+from eoi_jax.discovery import in_injection
 from eoi_jax.discovery.additions import fit_notes, sign_notes
+from eoi_jax.discovery.task import Task
 from eoi_jax.estimation.covariance import computed
+from eoi_jax.estimation.preparation import prepare_records
 
 H = 0.02
 NOMINAL = {"gain": 12.0, "stiffness": 40.0, "damping": 1.0}
@@ -85,3 +88,32 @@ def test_a_parameter_of_which_not_even_the_magnitude_is_told_is_said_so(value, e
     notes = [note for note in fit_notes(plant, (), changed) if "do not tell" in note]
     assert len(notes) == said
     assert all(f"spring: it is {value:.3g} with" in note for note in notes)
+
+
+@pytest.mark.parametrize(
+    ("before", "error", "leads"), [(2.0, None, True), (0.5, None, False), (2.0, np.nan, False)]
+)
+def test_a_lead_improves_on_the_errors_before_and_has_effects_of_known_size(
+    monkeypatch, before, error, leads
+):
+    """The declared model may be refined after the rounds; a delay of zero has no standard error."""
+    answer, placed = discovery(), PLACED[:1]
+    certainty = computed(answer.found.certainty)
+    errors = dict(certainty.standard_errors)
+    errors |= {} if error is None else dict.fromkeys(placed[0].names, error)
+    fit = replace(answer.found, certainty=replace(certainty, standard_errors=errors))
+    assert answer.after is not None
+    assert answer.windows_after is not None
+    runs = (replace(run, rmse=before * run.rmse) for run in (answer.after, answer.windows_after))
+    long_runs, short_runs = runs
+    answer = replace(answer, before=long_runs, windows_before=short_runs)
+    records = answer.declared.records
+    task = Task(DECLARED, prepare_records(DECLARED, records), records, (HELD_OUT,), (),
+                answer.declared, 1e-3, 2, None)  # fmt: skip
+    monkeypatch.setattr(in_injection, "refitted", lambda *_: (fit, ()))
+    monkeypatch.setattr(in_injection, "explained", lambda *_: (0.4, 0.5, False))
+    lead = in_injection._lead(task, [in_injection.Step(fit.plant, placed, ())], (), answer)
+    assert (lead is not None) is leads
+    if lead is not None:
+        assert lead.after is not None
+        assert before * lead.after.rmse == pytest.approx(long_runs.rmse)
