@@ -162,14 +162,10 @@ def _maps(discovery: Discovery) -> list[tuple[str, str, str]]:
     The variables that the effects depend on; without effects all variables.
     """
     outputs = discovery.plant.outputs
-    maps = [
-        (
-            added.output if added.output in outputs else outputs[0],
-            _variable(discovery, added),
-            added.against,
-        )
-        for added in discovery.added
-    ]
+    maps = []
+    for added in discovery.added:
+        output = added.output if added.output in outputs else outputs[0]
+        maps.append((output, _variable(discovery, added, output), added.against))
     if not maps:
         variables = ("y", "v", "t") if discovery.plant.degrees[0] > 1 else ("y", "t")
         maps = [(outputs[0], name, "") for name in (*variables, *discovery.plant.inputs)]
@@ -194,12 +190,18 @@ def _draw_maps(figure: Any, discovery: Discovery) -> None:
     figure.legend(handles, labels, loc="outside upper left", ncols=2)
 
 
-def _variable(discovery: Discovery, added: Added) -> str:
-    """The variable of an effect: y, v, t, or the name of an input."""
+def _variable(discovery: Discovery, added: Added, output: str) -> str:
+    """The variable of an effect: y, v, t, or the name of an input.
+
+    The velocity of an output that is one itself is y: one panel shows both.
+    """
     if isinstance(added.effect, AbstractParameterEffect):
         return next((signal.name for signal in added.effect.signals if signal.row is None), "t")
-    if added.effect.depends_on != "u":
-        return added.effect.depends_on
+    variable = added.effect.depends_on
+    if variable == "v" and not _derived(discovery, discovery.plant.outputs.index(output), "v"):
+        return "y"
+    if variable != "u":
+        return variable
     inputs = discovery.plant.inputs
     return added.output if added.output in inputs else inputs[0]
 

@@ -64,6 +64,18 @@ def test_a_residual_of_few_samples_has_fewer_bins(kept):
     assert len(means) == min(int(np.sum(shown)), 40)
 
 
+@pytest.mark.parametrize(("degree", "panels"), [(1, 1), (2, 2)])
+def test_one_panel_shows_what_depends_on_an_output_and_on_its_velocity(degree, panels):
+    """An output of relative degree one is its own velocity."""
+    tried = eoi.effects.CoulombFriction(), eoi.effects.CubicStiffness()
+    (first, *_), found = discovery().added, discovery()
+    plant = eoi.Plant(lambda t, x, u, p: -p.k * x.y[0], {"k": 1.0}, degree,
+                      outputs=("position",))  # fmt: skip
+    added = tuple(dataclasses.replace(first, effect=effect) for effect in tried)
+    changed = dataclasses.replace(found, plant=plant, added=added)
+    assert len(discovery_figures._maps(changed)) == panels
+
+
 def test_names_are_text_in_figures_and_in_equations():
     def spring(t, x, u, p):
         return p.b * u - p.k * x.y[0] - p.d * x.y[1]
