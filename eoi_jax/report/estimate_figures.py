@@ -6,6 +6,8 @@ from typing import Any
 
 import numpy as np
 
+from eoi_jax.data.cleaning import is_slow
+from eoi_jax.refinement.courses import Course, courses
 from eoi_jax.refinement.result import Refinement
 from eoi_jax.report.free_runs import FreeRuns, Run, free_run_series, record_title
 from eoi_jax.report.style import (
@@ -82,8 +84,29 @@ def refined_runs(result: Refinement, record: int = 0) -> FreeRuns:
     residuals = [(result.residual[record], ACCENT, "refined")]
     if result.residual_before:
         residuals.insert(0, (result.residual_before[record], BASE, "before"))
-    runs = tuple(Run(measured.outputs - error, colour, label) for error, colour, label in residuals)
+    sampled = [measured.outputs - error for error, _, _ in residuals]
+    if any(is_slow(mask) for mask in measured.output_valid.T) and (
+        complete := courses(result, record)
+    ):
+        pairs = zip(sampled, complete[-len(sampled) :], strict=True)
+        sampled = [_between_samples(*pair) for pair in pairs]
+    runs = tuple(
+        Run(run, colour, label) for run, (_, colour, label) in zip(sampled, residuals, strict=True)
+    )
     return FreeRuns(measured, runs, plant.outputs, plant.units, record_title(measured))
+
+
+def _between_samples(sampled: Course, course: Course, tolerance: float = 1e-3) -> Course:
+    """A run at every sample; as it is stored where a run made again is another one.
+
+    That is where both differ by more than `tolerance` of the range of the stored one: the runs of
+    the starting point may have been others.
+    """
+    at_samples = np.isfinite(sampled)
+    difference = np.where(at_samples, np.abs(course - sampled), 0.0)
+    size = np.ptp(sampled[at_samples]) if np.any(at_samples) else 0.0
+    is_same = bool(np.all(difference <= tolerance * size))
+    return np.where(at_samples | (not is_same), sampled, course)
 
 
 # -- intervals and correlation -----------------------------------------------------------------

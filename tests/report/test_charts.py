@@ -129,20 +129,38 @@ def test_errors_are_measurement_less_run_and_figure_and_chart_show_the_same():
     assert first == charts["data"]["panels"][0]["signals"][0]["signal"]  # stored once
 
 
-def test_runs_of_an_output_that_was_measured_seldom_are_lines_between_its_samples():
+@pytest.fixture(scope="module")
+def seldom():
+    """A decay from 1 at a rate of 0.3/s, refined from 0.2/s; sampled at times of one's own."""
     time = np.array([0.0, 0.1, 0.3, 0.6, 1.0, 2.0, 4.0, 8.0, 9.0, 12.0])
     with pytest.warns(eoi.RecordWarning, match="without a usual spacing"):
         record = eoi.Record(time, np.zeros((len(time), 0)), np.exp(-0.3 * time))
     decay = eoi.plant_from_text({"y": "-k*y"}, {"k": 0.2}, ["y"])
-    content = refined_runs(eoi.refine(decay, record))
-    upper, lower = free_run_series(content).panels
+    return eoi.refine(decay, record)
+
+
+def test_runs_of_an_output_that_was_measured_seldom_are_drawn_between_its_samples(seldom):
+    upper, lower = free_run_series(refined_runs(seldom)).panels
     measured, before, after = upper.signals
+    time = seldom.records[0].time
     assert (measured.dots, after.dots) == (True, False)
-    assert np.isfinite(measured.values).sum() == len(time)
-    for line in before.values, after.values:
-        assert np.isfinite(line).all()
-    np.testing.assert_allclose(after.values, np.interp(record.time, time, np.exp(-0.3 * time)))
-    assert np.isfinite(lower.signals[1].values).sum() == len(time)  # errors at samples only
+    samples = np.isfinite(measured.values)
+    assert samples.sum() == 10
+    np.testing.assert_allclose(after.values, np.exp(-0.3 * time), rtol=1e-5)
+    np.testing.assert_allclose(before.values, before.values[0] * np.exp(-0.2 * time), rtol=1e-5)
+    assert np.isfinite(lower.signals[1].values).sum() == 10  # errors at samples only
+
+
+@pytest.mark.parametrize("change", [{"in_loop": True}, {"nominal": 0.4}])
+def test_runs_that_cannot_be_made_again_are_lines_between_the_samples(seldom, change):
+    """In a closed loop, or where the starting point was compared in other runs."""
+    nominal = seldom.nominal.with_parameters({"k": change.get("nominal", 0.2)})
+    changed = dataclasses.replace(seldom, nominal=nominal, in_loop=change.get("in_loop", False))
+    measured, before, _ = free_run_series(refined_runs(changed)).panels[0].signals
+    samples = np.isfinite(measured.values)
+    time = seldom.records[0].time
+    lines = np.interp(time, time[samples], before.values[samples])
+    np.testing.assert_allclose(before.values, lines)
 
 
 def test_the_detail_is_the_second_in_which_the_error_of_the_answer_has_most_power():
