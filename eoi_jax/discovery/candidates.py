@@ -113,28 +113,35 @@ def atoms(
             taken where the sum of both delays equals this parameter: a delay is strongly nonlinear,
             and the part of the effect that the parameter has absorbed must be recoverable.
     """
+    # A state that is faster than the steps diverges, and an input that a shape makes zero may be
+    # divided by: that shape is left out.
+    with np.errstate(all="ignore"):
+        candidates = _of_all_shapes(plant, placed, shapes, stretches, delay) if len(shapes) else []
+        return [candidate for candidate in candidates if _finite(candidate)]
+
+
+def _of_all_shapes(
+    plant: Plant,
+    placed: Placed,
+    shapes: Grid,
+    stretches: Sequence[ModalRecord],
+    delay: str | None,
+) -> list[CandidateColumns]:
     values = [tuple(float(value) for value in row) for row in shapes]
-    if not values:
-        return []
     if delay is not None:
-        candidates = [
-            _with_shorter_delay(plant, placed, value, stretches, delay) for value in values
-        ]
-    elif placed.on_input:
+        return [_with_shorter_delay(plant, placed, value, stretches, delay) for value in values]
+    if placed.on_input:
         inputs = [_changed_inputs(placed, shapes, record) for record in stretches]
         target, slopes = model_rows(plant, stretches, inputs, _smoothed(placed))
         no_gains = np.zeros((target.shape[1], 0))
-        candidates = [
+        return [
             CandidateColumns(placed, value, no_gains, target[i], slopes[i])
             for i, value in enumerate(values)
         ]
-    elif placed.on_state or isinstance(placed.effect, AbstractParameterEffect):
-        candidates = _changed_models(plant, placed, values, stretches)
-    else:
-        columns = _term_rows(plant, placed, shapes, stretches)
-        candidates = [CandidateColumns(placed, value, columns[i]) for i, value in enumerate(values)]
-    # A state that is faster than the steps diverges: that shape is left out.
-    return [candidate for candidate in candidates if _finite(candidate)]
+    if placed.on_state or isinstance(placed.effect, AbstractParameterEffect):
+        return _changed_models(plant, placed, values, stretches)
+    columns = _term_rows(plant, placed, shapes, stretches)
+    return [CandidateColumns(placed, value, columns[i]) for i, value in enumerate(values)]
 
 
 def _with_shorter_delay(

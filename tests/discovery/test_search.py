@@ -505,6 +505,17 @@ def test_columns_of_a_term_are_those_of_its_own_output():
     assert atoms(TWO, first, np.zeros((0, 0)), several) == []
 
 
+def test_a_shape_that_makes_a_divisor_zero_is_left_out_without_a_warning():
+    """A dead zone of 2 makes all of the speed zero; NumPy's warnings are errors here."""
+    turning = eoi.plant_from_text({"y": "-k*y/speed"}, {"k": 3.0}, ["y"], ["speed"])
+    time = 0.01 * np.arange(1000)
+    record = eoi.simulate(turning, time, 1.3 + 0.4 * np.sin(time), 1.0, hold="linear")
+    several = [modal_record(turning, record, 15.0)]
+    (placed,) = alone(turning, effects.InputDeadZone())
+    made = atoms(turning, placed, np.array([[0.1], [2.0]]), several)
+    assert [one.shape for one in made] == [(0.1,)]
+
+
 def test_shape_at_which_a_term_is_not_finite_is_not_tried():
     time = 0.01 * np.arange(1000)
     record = eoi.simulate(TWO, time, np.stack([np.sin(time)] * 2, axis=1), hold="linear")
