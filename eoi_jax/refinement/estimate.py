@@ -14,6 +14,7 @@ from eoi_jax.data.record import Record
 from eoi_jax.data.windows import restart_notes
 from eoi_jax.data.wrapped_outputs import wrapped_notes
 from eoi_jax.estimation.common_factors import CommonFactor, common_factors
+from eoi_jax.estimation.degrees_of_freedom import freedom_notes
 from eoi_jax.estimation.regression.least_squares import least_squares, standard_errors, untraced
 from eoi_jax.estimation.regression.orthonormal import orthonormal
 from eoi_jax.estimation.regression.robust_covariance import covariance_of_estimate
@@ -53,7 +54,7 @@ def refinement_of(
     if fit.differentiable:
         within_bounds = np.asarray([float(name not in bound) for name in plant.names]) * plant.free
         errors = standard_errors(certainty.covariance, certainty.information, within_bounds)
-    return Refinement(
+    result = Refinement(
         plant.parameters,
         {name: float(value) for name, value in zip(plant.names, errors, strict=True)},
         certainty.covariance,
@@ -84,6 +85,8 @@ def refinement_of(
         problem.engine,
         factors,
     )
+    of_errors = (FitNote(note) for note in freedom_notes(result))
+    return replace(result, notes=(*of_errors, *result.notes))
 
 
 def compared_with(

@@ -10,6 +10,7 @@ import numpy as np
 from eoi_jax._checks import percent
 from eoi_jax.discovery.diagnosis import Diagnosis
 from eoi_jax.discovery.result import Discovery
+from eoi_jax.estimation.degrees_of_freedom import freedom_notes
 from eoi_jax.estimation.identify import Identification
 from eoi_jax.models.algebraic_outputs import highest_derivative
 from eoi_jax.refinement.result import Refinement
@@ -28,7 +29,7 @@ from eoi_jax.report.tables import (
 from eoi_jax.report.time_series import TimeSeries, time_series_figure
 from eoi_jax.simulation.sensor_noise import sensor_noise
 from eoi_jax.simulation.validate import Validation
-from eoi_jax.uncertainty.uncertainty import Uncertainty, freedom_notes, uncertainty
+from eoi_jax.uncertainty.uncertainty import Uncertainty, uncertainty
 
 _MAX_OUTPUTS = 3  # outputs with maps and tiles of their own
 
@@ -227,7 +228,7 @@ def refinement_contents(result: Refinement, extra: Mapping[str, Any]) -> Content
         tuple(report_figures),
         (),
         health(extra["diagnosis"]),
-        (*freedom_notes(result), *result.notes),
+        result.notes,
         badge=_error_over_noise(extra["after"]),
     )
 

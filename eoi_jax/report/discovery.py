@@ -10,6 +10,7 @@ from eoi_jax.data.clipping import AT_END
 from eoi_jax.discovery.confirm import drifts, only_short
 from eoi_jax.discovery.remarks import RecordNote
 from eoi_jax.discovery.result import Added, Discovery, PartialExplanation, Texts
+from eoi_jax.estimation.degrees_of_freedom import freedom_notes
 from eoi_jax.models.effects import (
     INPUT_EFFECTS,
     AbstractInternalEffect,
@@ -23,7 +24,7 @@ from eoi_jax.models.input_strength import InputStrength, strengths_of
 from eoi_jax.report.diagnosis import saturation
 from eoi_jax.report.tables import columns, parameter_table, quantity, with_error
 from eoi_jax.simulation.validate import Validation
-from eoi_jax.uncertainty.uncertainty import freedom_notes, uncertainty
+from eoi_jax.uncertainty.uncertainty import uncertainty
 
 _FORCES = ("N", "N m", "Nm", "N·m")
 _CLIPPED = f"First look at the notes: an output stays at {AT_END}, which may be all there is."

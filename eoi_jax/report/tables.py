@@ -7,12 +7,13 @@ import numpy as np
 
 from eoi_jax._checks import counted, percent, timed
 from eoi_jax.data.record import Record
+from eoi_jax.estimation.degrees_of_freedom import freedom_notes
 from eoi_jax.estimation.identify import Identification
 from eoi_jax.models.algebraic_outputs import highest_derivative
 from eoi_jax.refinement.result import Refinement
 from eoi_jax.simulation.validate import Validation
 from eoi_jax.uncertainty.profile_likelihood import Profile
-from eoi_jax.uncertainty.uncertainty import Uncertainty, freedom_notes, uncertainty
+from eoi_jax.uncertainty.uncertainty import Uncertainty, uncertainty
 
 
 def identification_text(result: Identification) -> str:
@@ -338,7 +339,8 @@ def refinement_table(result: Refinement) -> str:
 
 
 def _remarks(result: Identification | Refinement, *reasons: str) -> tuple[str, ...]:
-    return *reasons, *freedom_notes(result), *result.notes, *result.engine.notes
+    of_errors = freedom_notes(result) if isinstance(result, Identification) else ()
+    return *reasons, *of_errors, *result.notes, *result.engine.notes
 
 
 def validation_text(result: Validation) -> str:

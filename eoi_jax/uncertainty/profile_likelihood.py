@@ -21,12 +21,13 @@ from eoi_jax._checks import check, check_choice, check_kind, real
 from eoi_jax._display import Result
 from eoi_jax.data.holds import made_alike
 from eoi_jax.data.record import Record
+from eoi_jax.estimation.degrees_of_freedom import student
 from eoi_jax.models.check_records import check_records
 from eoi_jax.models.controller import Controller
 from eoi_jax.models.plant import Plant
 from eoi_jax.refinement.refine import refine
 from eoi_jax.refinement.result import Refinement
-from eoi_jax.uncertainty.uncertainty import student, uncertainty
+from eoi_jax.uncertainty.uncertainty import uncertainty
 
 
 @dataclass(frozen=True)

@@ -19,6 +19,7 @@ from jaxtyping import Bool, Float
 from eoi_jax._checks import check, check_kind, is_or_are, real
 from eoi_jax._display import Result
 from eoi_jax.estimation.common_factors import listed
+from eoi_jax.estimation.degrees_of_freedom import student
 from eoi_jax.estimation.identify import Identification
 from eoi_jax.estimation.regression.identifiability import (
     format_direction,
@@ -210,48 +211,6 @@ def uncertainty(estimate: Identification | Refinement) -> Uncertainty:
     ]
     unclear += _open(untraced, theta, plant.names) + _weak(precision, errors, theta, plant.names)
     return replace(result, unclear=tuple(unclear))
-
-
-def student(level: float, freedom: Float[np.ndarray, " np"]) -> Float[np.ndarray, " np"]:
-    """Half widths of symmetric intervals in standard errors: quantiles of Student's t."""
-    from scipy.special import ndtri, stdtrit
-
-    upper = 0.5 * (1.0 + level)
-    return np.where(np.isinf(freedom), ndtri(upper), stdtrit(freedom, upper))
-
-
-def freedom_notes(estimate: Identification | Refinement) -> tuple[str, ...]:
-    """A sentence where standard errors have so few degrees of freedom that ±2 of them mislead.
-
-    Args:
-        estimate: with an answer or without.
-    """
-    if estimate.degrees_of_freedom is None:
-        return ()
-    freedom = np.asarray(estimate.degrees_of_freedom)
-    errors = np.asarray(list(estimate.standard_errors.values()))
-    scarce = (freedom < FEW) & np.isfinite(errors) & (errors > 0)
-    if not np.any(scarce):
-        return ()
-    names = [
-        name for name, is_scarce in zip(estimate.standard_errors, scarce, strict=True) if is_scarce
-    ]
-    ends = [np.min(freedom[scarce]), np.max(freedom[scarce])]
-    numbers = list(dict.fromkeys(f"{end:.2g}" for end in ends))
-    reach = list(dict.fromkeys(f"{size:.2g}" for size in student(0.95, np.asarray(ends))[::-1]))
-    note = _FEW.format(listed(names), " to ".join(numbers), " to ".join(reach))
-    values = np.asarray(list(estimate.parameters.values()))
-    is_open = scarce & (np.abs(values) < student(0.95, freedom) * errors)
-    pairs = zip(estimate.standard_errors, is_open, strict=True)
-    open_names = [name for name, flag in pairs if flag]
-    return (f"{note}; that of {listed(open_names)} holds zero" if open_names else note,)
-
-
-FEW = 5.0  # degrees of freedom, at which a 95 % interval reaches 2.6 standard errors in place of 2
-_FEW = (
-    "the ± of {} rests on {} degrees of freedom: the 95 % interval reaches {} times as far to each "
-    "side (`uncertainty`), as few independent parts of the records tell of it"
-)
 
 
 # -- what cannot be told apart ----------------------------------------------------------------

@@ -8,6 +8,7 @@ import pytest
 
 import eoi_jax as eoi
 from eoi_jax._status import Status
+from eoi_jax.estimation.degrees_of_freedom import freedom_notes, student
 from eoi_jax.estimation.regression.identifiability import groups_of
 from eoi_jax.refinement.result import Refinement, Start
 from eoi_jax.report.estimate_figures import EstimateLayout, refinement_figure, uncertainty_figure
@@ -15,8 +16,6 @@ from eoi_jax.uncertainty.uncertainty import (
     Uncertainty,
     _on_bounds,
     _precision,
-    freedom_notes,
-    student,
     uncertainty,
 )
 
@@ -211,7 +210,6 @@ def test_errors_of_few_degrees_of_freedom_say_how_far_their_intervals_reach():
         f"the ± of {first} and {last} rests on 1 to 2 degrees of freedom: the 95"
     )
     assert "reaches 4.3 to 13 times as far to each side" in note
-    assert f"- {note}" in str(few)
     assert "holds zero" not in note
     vague = {**errors, last: abs(few.parameters[last]) / 4.0}  # 4 standard errors are 0.9 of 4.3
     (note,) = freedom_notes(replace(few, standard_errors=vague))
@@ -220,6 +218,16 @@ def test_errors_of_few_degrees_of_freedom_say_how_far_their_intervals_reach():
     open_ones = {**errors, first: np.inf, last: 0.0}
     assert freedom_notes(replace(few, standard_errors=open_ones)) == ()
     assert freedom_notes(replace(few, degrees_of_freedom=None)) == ()
+
+
+def test_notes_of_a_refinement_tell_of_few_degrees_of_freedom_and_its_text_once():
+    time = 0.5 * np.arange(8)
+    y = np.exp(-0.3 * time) + 0.02 * np.random.default_rng(1).standard_normal(8)
+    decay = eoi.plant_from_text({"y": "-k*y"}, {"k": 0.2}, ["y"])
+    result = eoi.refine(decay, eoi.Record(time, np.zeros((8, 0)), y))
+    (note,) = freedom_notes(result)
+    assert note in result.notes
+    assert str(result).count(note) == 1
 
 
 def test_ratios_that_can_be_told_are_named_and_the_rest_is_open():

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from scipy.signal import lfilter
 
+from eoi_jax.estimation.degrees_of_freedom import student
 from eoi_jax.estimation.regression.noise_autocorrelation import ljung_box
 from eoi_jax.estimation.regression.robust_covariance import (
     correlation_time,
@@ -11,7 +12,6 @@ from eoi_jax.estimation.regression.robust_covariance import (
     long_run,
     uncorrelated,
 )
-from eoi_jax.uncertainty.uncertainty import student
 
 TRIALS = 600
 SIGMA = np.sqrt(0.95 * 0.05 / TRIALS)
