@@ -15,22 +15,22 @@ from eoi_jax.models.augmented import Placed
 
 _RULES = RULES.answer
 _MEDIAN_OF_SQUARE = 0.455  # of the square of a normal variable
-_NOTHING_MISSING = "what is left is {}: nothing that the data can name"
+_UNNAMED = ": nothing that the data can name"
 _NO_EFFECT = (
-    "what is left is {}, more than noise, and none of the tested effects explains it. `diagnosis` "
+    "{}, more than noise, and none of the tested effects explains it. `diagnosis` "
     "shows where it lives; more records, of other motions, may tell"
 )
 _UNTRIED = (
-    "what is left is {}, more than noise, and no effect was tried: those that are asked for need "
+    "{}, more than noise, and no effect was tried: those that are asked for need "
     "held-out records. Give `validation`"
 )
-_EXPLAINED_TEXT = "the effects take {:.1%} of the residual's power; what is left is {}"
+_EXPLAINED_TEXT = "the effects take {:.1%} of the residual's power; {}"
 _REST_UNEXPLAINED = (
     ", more than noise. No other tested effect comes near the first of them, and free runs on "
     "other data confirm it; the rest stays unexplained"
 )
 _PARTLY = (
-    "the best of the tested effects, {}, takes only {:.0%} of the residual's power and leaves "
+    "the best of the tested effects, {}, takes only {:.0%} of the residual's power; "
     "{}: not the whole story, so nothing was added"
 )
 
@@ -141,7 +141,8 @@ def judged(
     )
     if not placed:
         if is_negligible:
-            return Status("nothing_missing", _NOTHING_MISSING.format(description))
+            unnamed = _UNNAMED if relative_residual > 0.0 else ""
+            return Status("nothing_missing", f"{description}{unnamed}")
         reason = _NO_EFFECT if tried else _UNTRIED
         return Status("unexplained", reason.format(description))
     if share >= _RULES.explained or is_negligible:
@@ -158,8 +159,9 @@ def answered(share: float, relative_residual: float, degrees: Sequence[int]) -> 
 
 
 def _residual_text(relative_residual: float, degrees: Sequence[int]) -> str:
-    share = f"{relative_residual:.2g} of the {highest_derivative(degrees)} (rms)"
-    return share if relative_residual > 0.0 else "nothing beyond the noise"
+    if not relative_residual > 0.0:
+        return "nothing is left beyond the noise"
+    return f"what is left is {relative_residual:.2g} of the {highest_derivative(degrees)} (rms)"
 
 
 def labels_of(placed: Sequence[Placed]) -> str:

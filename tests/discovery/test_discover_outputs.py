@@ -16,7 +16,7 @@ from eoi_jax.comparators import (
     VSSDirect,
 )
 from eoi_jax.data.record import Record
-from eoi_jax.discovery.acceptance import answered
+from eoi_jax.discovery.acceptance import answered, judged
 from eoi_jax.discovery.cosine_modes import modal_record, motion
 from eoi_jax.discovery.diagnose import diagnose
 from eoi_jax.discovery.discover import discover
@@ -234,3 +234,12 @@ def test_methods_that_differentiate_say_that_they_do_not_apply(method):
 def test_what_is_left_is_a_share_of_the_output_where_no_output_has_a_derivative():
     assert answered(0.95, 1.1e-3, (0,)).message.endswith("0.0011 of the output (rms)")
     assert answered(0.95, 1.1e-3, (2, 0)).message.endswith("0.0011 of the highest derivative (rms)")
+
+
+def test_what_is_left_is_a_clause_of_its_own():
+    assert answered(1.0, 0.0, (1,)).message.endswith("power; nothing is left beyond the noise")
+    assert judged((), 0.0, 0.0, True, (0,)).message == "nothing is left beyond the noise"
+    little = judged((), 0.0, 1e-4, True, (0,)).message
+    assert little == ("what is left is 0.0001 of the output (rms): nothing that the data can name")
+    more = judged((), 0.0, 0.5, False, (0,)).message
+    assert more.startswith("what is left is 0.5 of the output (rms), more than noise, and none of")
