@@ -23,6 +23,7 @@ from eoi_jax.models.effects import (
 )
 from eoi_jax.models.used_inputs import product_inputs
 from eoi_jax.simulation.sensor_noise import sensor_noise
+from eoi_jax.simulation.validate import Validation
 
 _RULES = RULES.questions
 
@@ -41,7 +42,7 @@ def leaves_open(discovery: Discovery) -> bool:
         return False
     if any(item.reason == Reason.NO_FREE_RUN for item in discovery.ranking):
         return False
-    code, runs = discovery.status.code, discovery.windows_after or discovery.after
+    code, runs = discovery.status.code, telling_runs(discovery)
     is_small = runs is None or bool(np.all(runs.nrmse < _RULES.small))
     if code == "nothing_missing":
         if runs is None or is_small:
@@ -55,6 +56,17 @@ def leaves_open(discovery: Discovery) -> bool:
     doubted |= may_be_store(discovery.added) and not is_small
     doubted |= bends_factor(discovery)
     return code in ("unexplained", "no_data") or (code == "complete" and doubted)
+
+
+def telling_runs(discovery: Discovery) -> Validation | None:
+    """Free runs of the answer in windows; whole ones where these score far more samples.
+
+    Of samples that become rarer along a record, few windows have enough for their start.
+    """
+    windows, whole = discovery.windows_after, discovery.after
+    if windows is None or whole is None:
+        return windows or whole
+    return whole if windows.scored < _RULES.scored * whole.scored else windows
 
 
 def stands_in(added: Sequence[Added]) -> bool:
@@ -129,7 +141,7 @@ def leaves_more(discovery: Discovery) -> bool:
     """Whether an answer that explains the injection misses held-out records by more than noise."""
     if discovery.in_sample or not discovery.added or discovery.plant.has_algebraic:
         return False
-    runs = discovery.windows_after or discovery.after
+    runs = telling_runs(discovery)
     if discovery.status.code != "complete" or runs is None:
         return False
     if np.all(runs.nrmse < _RULES.negligible):
@@ -149,5 +161,5 @@ def misses_widely(discovery: Discovery) -> bool:
 
     Effects that explain the injection of a biased base may stand in for what free runs show.
     """
-    runs = discovery.windows_after or discovery.after
+    runs = telling_runs(discovery)
     return leaves_more(discovery) and runs is not None and bool(np.any(runs.nrmse > _RULES.wide))

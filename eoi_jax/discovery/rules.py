@@ -350,6 +350,7 @@ class QuestionRules:
             justifies, from which on it does not take its place. Set with emps in view.
         useless: the same of a model that a constant is better than, whatever the noise. Set with
             indomethacin in view.
+        scored: share of the samples of whole runs that windows score, at least, to tell more.
         silent: error over the noise up to which a declared model lacks nothing that held-out
             records show, whatever the injection leaves. Set with circuits that are sampled at half
             to one time constant in view.
@@ -363,6 +364,7 @@ class QuestionRules:
     contradicted: float = 2.0
     useless: float = 1.25
     silent: float = 1.2
+    scored: float = 0.5
     own_share: float = 0.3
 
 
