@@ -341,9 +341,7 @@ def test_an_actuator_that_is_purely_quadratic_gives_the_square_of_its_input():
     assert endless.found.parameters["gain"] * values(endless)["input_quadratic"] == pytest.approx(
         0.02, rel=0.01
     )
-    (note,) = (one for one in endless.notes if "input_quadratic" in one)
-    assert "end of what was searched" in note
-    assert "larger ones" in note
+    assert any("hardly tell the size of input quadratic" in note for note in endless.notes)
 
 
 def turning(t, x, u, p):
@@ -457,7 +455,7 @@ def test_effect_that_makes_the_free_run_worse_is_refused():
     answer = eoi.discover(MASS, records("coulomb")[0], records("nothing")[1], FEW)
     assert answer.effects == ()
     assert answer.status.code == "unexplained"
-    assert any(note.startswith("refused: coulomb_friction makes") for note in answer.notes)
+    assert any(note.startswith("refused: coulomb_friction would make") for note in answer.notes)
     assert answer.after is answer.before
 
 
@@ -488,7 +486,7 @@ def test_a_held_out_record_at_rest_is_told_and_what_it_refuses_stays_in_view():
     answer = eoi.discover(MASS, records("coulomb")[0], rest, FEW)
     assert answer.effects == ()
     assert answer.status.code == "unexplained"
-    assert answer.status.message.startswith("coulomb_friction explains 100.0%")
+    assert answer.status.message.startswith("coulomb_friction would explain 100.0%")
     assert "but the held-out records do not confirm it" in answer.status.message
     (note,) = answer.notes
     assert note.startswith("position does not move beyond its noise on the held-out record rest")

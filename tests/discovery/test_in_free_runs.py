@@ -9,7 +9,7 @@ from found import discovery
 import eoi_jax as eoi
 from eoi_jax import effects
 from eoi_jax._status import Status
-from eoi_jax.discovery.doubts import leaves_more, leaves_open, misses_widely
+from eoi_jax.discovery.doubts import leaves_more, leaves_open, misses_widely, telling_runs
 from eoi_jax.discovery.free_run_search import search_free_runs
 from eoi_jax.discovery.in_free_runs import (
     contradicts_injection,
@@ -269,3 +269,11 @@ def test_an_answer_that_leaves_far_more_of_the_injection_contradicts_it(larger, 
     justified = discovery()
     fit = replace(justified.found, index=larger * np.asarray(justified.found.index))
     assert contradicts_injection(replace(justified, found=fit), justified) is contradicts
+
+
+def test_whole_runs_tell_more_than_windows_that_score_few_of_their_samples(found):
+    whole, windows = found.after, found.windows_after
+    assert telling_runs(found) is windows
+    few = replace(windows, scored=whole.scored // 3)
+    assert telling_runs(replace(found, windows_after=few)) is whole
+    assert telling_runs(replace(found, windows_after=None)) is whole

@@ -59,8 +59,10 @@ def test_records_that_differ_are_told_where_nothing_is_found():
     days = [warmed(ambient, seed) for seed, ambient in enumerate((18.0, 27.0, 22.0))]
     found = eoi.discover(PLANT, days[:2], validation=days[2])
     assert found.status.code == "unexplained"
-    (note,) = differences(found)
-    assert "in record 3)" in note
+    assert "the records ask for different parameters" in found.status.message
+    (note,) = (note for note in found.notes if "differs between the records" in note)
+    assert note.startswith("constant_offset differs")
+    assert "in record 2" in note
 
 
 @pytest.mark.slow
