@@ -340,10 +340,7 @@ def _with_best_hold(
         repeated = _refined(fits[choice.best].plant, with_hold(records, rule), single)
         if repeated.status.fits and is_better(repeated, result):
             result = _again(question, plant, result, repeated.plant, question.window or np.inf)
-            compared = partial(
-                compared_holds, plant, records, rule, partial(_refined, question=single)
-            )
-    choice, fits = compared(result)
+            choice, fits = compared(result)
     if choice.best != rule:
         repeated = _from_the_start(plant, fits[choice.best], question)
         if repeated.status.fits:
