@@ -141,12 +141,22 @@ def start_samples(record: Record, required: int, usual: int = 50, share: float =
     count = step * min(usual, max(int(share * longest / step), 3 * required + 3))
     periods = np.round(record.output_periods / record.sample_period, 6)
     count = max(count, (required + 1) * np.max(periods))
-    ends = []
-    for valid in record.output_valid.T:
-        places = np.flatnonzero(valid)
-        wanted = min(usual, max(int(share * len(places)), 3 * required + 3))
-        ends.append(places[wanted] if wanted < len(places) else len(record))
+    ends = [
+        steps_behind(valid, min(usual, max(int(share * np.sum(valid)), 3 * required + 3)))
+        for valid in record.output_valid.T
+    ]
     return int(np.ceil(min(count, max(ends))))
+
+
+def steps_behind(valid: Bool[np.ndarray, " time"], count: int) -> int:
+    """Steps of the grid up to the sample that follows so many; all where no more are measured.
+
+    Args:
+        valid: where an output was measured.
+        count: of its samples.
+    """
+    (places,) = np.nonzero(valid)
+    return int(places[count]) if count < len(places) else len(valid)
 
 
 def driven_parts(record: Record, shortest: int = 2) -> list[tuple[int, Record]]:

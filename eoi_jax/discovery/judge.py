@@ -14,7 +14,7 @@ import numpy as np
 from jaxtyping import Float
 
 from eoi_jax.data.record import Record
-from eoi_jax.data.windows import steps_between_samples
+from eoi_jax.data.windows import steps_behind, steps_between_samples
 from eoi_jax.discovery.rules import RULES
 from eoi_jax.models.augmented import Placed
 from eoi_jax.models.effects import PRODUCTS
@@ -290,9 +290,9 @@ def _steps_with(records: Sequence[Record], count: int, step: float) -> int:
         count: of samples of each output.
         step: of the grid from a sample to the next, on average.
     """
-    places = [np.flatnonzero(valid) for record in records for valid in record.output_valid.T]
-    following = max((int(place[count]) for place in places if len(place) > count), default=0)
-    return min(round(count * step), max(following, count))
+    columns = [valid for record in records for valid in record.output_valid.T]
+    ends = [steps_behind(valid, count) for valid in columns if np.sum(valid) > count]
+    return min(round(count * step), max([count, *ends]))
 
 
 def _moves(records: Sequence[Record], count: int, noise: Float[np.ndarray, " ny"]) -> bool:
