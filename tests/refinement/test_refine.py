@@ -934,3 +934,18 @@ def test_the_typical_error_is_that_of_each_output():
     use = draw.uniform(size=error.shape) < 0.9
     error[~use] = 1e6
     np.testing.assert_allclose(_typical(error, use), [1.0, 50.0], rtol=0.05)
+
+
+def test_where_a_limit_of_the_rate_starts_is_fitted():
+    """A rudder on its way to its command where the record begins: 20 degrees are 8 s of it."""
+    plant = eoi.Plant(
+        lambda t, x, u, p: p.gain * u - x.y[0] / p.tau, {"gain": 0.5, "tau": 4.0}, inputs=("u",)
+    )
+    limited = [place(plant, effects.RateLimit(), 0)]
+    time = 0.1 * np.arange(1000)
+    command = np.where(np.sin(2.0 * np.pi * time / 37.0) >= 0.0, 20.0, -20.0)
+    truth = augmented(plant, limited, {"rate_limit": 2.5})
+    record = eoi.simulate(truth, time, command, [0.0], hold="zero").part(195, 1000)
+    fit = eoi.refine(augmented(plant, limited, {"rate_limit": 2.0}), record)
+    assert fit.parameters["rate_limit"] == pytest.approx(2.5, rel=1e-3)
+    assert fit.parameters["tau"] == pytest.approx(4.0, rel=1e-3)

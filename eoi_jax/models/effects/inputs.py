@@ -367,9 +367,9 @@ def _smoothing(lead: Any, lag: Any, period: Any, xp: Any) -> Any:
 class RateLimit(AbstractActuator):
     """dz/dt = ±R until z = u: an actuator that moves no faster.
 
-    A servo, a valve with its motor, a controller that ramps its set point. At the start of the
-    record z is at u: of one that is on its way there the first ramp is missing, which is no level
-    before the record that could be estimated by its slope. Leave out the time until it has arrived.
+    A servo, a valve with its motor, a controller that ramps its set point. `refine` fits where z is
+    at the start of a record; elsewhere it is at u, as a small step of the level before the record
+    says nothing of a large one: leave out the time until it has arrived.
     """
 
     name = "rate_limit"
