@@ -68,7 +68,6 @@ def remaining_power(rounds: Sequence[RoundResult], share: float, noise_like: boo
         rounds: of the search.
         share: that is explained.
         noise_like: whether the remaining residual is noise.
-        degrees: relative degree of each output.
     """
     first, last = rounds[0], rounds[-1]
     noise = _noise_scale(last.base, _final_residual(last)) * first.base.noise_power

@@ -63,8 +63,9 @@ def beyond_noise(runs: Validation | None, conclusion: str = HIDDEN) -> list[str]
     """A sentence for each output whose error in free runs, in windows, far exceeds its noise.
 
     The error of a correct model is the noise plus the effect of an initial state that is estimated
-    from few samples. Whole runs may drift in phase and are not used here. Where differences show
-    motion, and the noise is known from above alone, there is less room between both.
+    from few samples. Whole runs may drift in phase, and are asked where there are no others, or
+    where these score few samples. Where differences show motion, and the noise is known from above
+    alone, there is less room between both.
 
     Args:
         runs: free runs in windows, or whole ones of short records; None: no sentence.

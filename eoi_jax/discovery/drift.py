@@ -23,7 +23,7 @@ def drift_of_parameters(identification: Identification, level: float) -> float:
         identification: the estimate.
         level: chance of a false alarm, over all parameters.
     """
-    from scipy.stats import t as student
+    from scipy.special import stdtr  # only discovery needs it
 
     views, _ = views_of(identification)
     middle = np.mean([view.record.time.mean() for view in views])
@@ -52,7 +52,7 @@ def drift_of_parameters(identification: Identification, level: float) -> float:
     slopes = np.asarray(solution.increment)[len(free) :]
     estimated = variances > 0.0
     ratios = np.abs(slopes[estimated]) / np.sqrt(variances[estimated])
-    chances = 2.0 * student.sf(ratios, np.minimum(freedom[len(free) :][estimated], 1e9))
+    chances = 2.0 * stdtr(np.minimum(freedom[len(free) :][estimated], 1e9), -ratios)
     if not np.any(chances * len(chances) < level):
         return 0.0
     return float(1.0 - np.sum(remaining**2) / np.sum(constant**2))

@@ -100,10 +100,11 @@ class InputAction(AbstractSignalProduct):
         """Where neither the equation of the output has such a term, nor that of a state."""
         (signal,) = self.signals
         place = output, signal.column
-        lacks = not used_inputs(plant)[place]
-        if not lacks and plant.internal is None:
-            lacks = bool(product_inputs(plant)[place])
-        return super().fits(plant, output) and lacks
+        if not super().fits(plant, output):
+            return False
+        if not used_inputs(plant)[place]:
+            return True
+        return plant.internal is None and bool(product_inputs(plant)[place])
 
 
 # Both name no cause.
