@@ -3,8 +3,8 @@
     python benchmarks/truth/beyond_library.py [--quick] [--write]
 
 The laws were written down before curves were tried on them, and before the library had damping
-with the square of the displacement, products of three signals and a loss that saturates, which
-three of them are. Simulated by the rule of `other_rigs`.
+with the square of the displacement, products of three signals, a loss that saturates and a spring
+and a damper in series, which four of them are. Simulated by the rule of `other_rigs`.
 """
 
 import math
@@ -92,7 +92,10 @@ def cases() -> list[Case]:
                 "curve y v"),
         _sprung("a spring with a dashpot in series",
                 lambda x, u: (x[1], u - 40 * x[0] - 1.2 * x[1] - 20 * (x[0] - x[2]),
-                              20 * (x[0] - x[2])), states=3),
+                              20 * (x[0] - x[2])), "maxwell_element", states=3),
+        _sprung("a damper that a gap of 0.4 leaves out",
+                lambda x, u: (x[1], u - 40 * x[0] - 1.2 * x[1]
+                              - 3 * x[1] * (abs(x[0]) > 0.4)), "curve y v"),
         _filled("an outlet with the root of the level",
                 lambda x, u: (u - 0.3 * x[0] - 0.5 * math.sqrt(max(x[0], 0.0)),), "power_loss"),
         _filled("an input with its logarithm",

@@ -368,6 +368,10 @@ def machines() -> list[Rig]:
             lambda x, u: (x[1], 400.0 * u * (1.0 - 0.06 * x[0] ** 2) - 120.0 * x[1]
                           - 6e4 * x[0] * (1.0 + 0.08 * x[0] ** 2)),
             (0.0, 0.0), 2e-4, 8000, multisine(100.0, 80.0)),
+        Rig("engine on rubber mounts", "a spring of 1500 1/s² with a damper in series, 12 1/s",
+            ("maxwell_element",), eoi.Plant(_spring, {"k": 4e3, "c": 5.0, "b": 1.0}, 2),
+            lambda x, u: (x[1], u - 3e3 * x[0] - 4.0 * x[1] - 1500.0 * x[2], x[1] - 12.0 * x[2]),
+            (0.0, 0.0, 0.0), 1e-3, 8000, multisine(200.0, 15.0)),
     ]  # fmt: skip
 
 

@@ -176,15 +176,14 @@ def augmented(
     slow = any(isinstance(placement.effect, AbstractActuator) for placement in placements)
     degrees = plant.degrees if cascaded else ()
     dynamics = _Dynamics(plant.dynamics, declared_names, placements, nz, degrees)
+    followed = (dynamics, plant.degrees) if following else (None, ())
     return Plant(
         dynamics,
         {**plant.parameters, **added},
         relative_degree=plant.degrees,
         inputs=plant.inputs,
         outputs=plant.outputs,
-        internal=_Internal(
-            plant.internal, declared_names, placements, nz, dynamics if following else None
-        )
+        internal=_Internal(plant.internal, declared_names, placements, nz, *followed)
         if moving
         else None,
         internal_initial=_Start(
@@ -357,6 +356,7 @@ class _Internal:
     placed: tuple[Placed, ...]
     nz: int
     dynamics: _Dynamics | None = field(default=None, metadata=WHERE_SET)  # where effects follow it
+    degrees: tuple[int, ...] = field(default=(), metadata=WHERE_SET)  # likewise
 
     @property
     def states(self) -> tuple[str, ...] | None:
@@ -366,14 +366,27 @@ class _Internal:
     def __call__(self, t: Any, x: State, u: Any, p: Any) -> Any:
         dynamics = self.dynamics
         if dynamics is None or not dynamics.degrees:
-            return self.direct(t, x, u, p, lambda: _first_derivatives(dynamics, t, x, u, p))
+
+            def highest() -> Any:
+                assert dynamics is not None
+                return dynamics(t, x, u, p)
+
+            return self.direct(t, x, u, p, lambda: self._first_derivatives(x, highest))
         cascade = dynamics.cascade(t, p)
         inner = cascade.model_state(x)
 
         def slopes() -> Any:
-            return inner.y[1] if inner.y.shape[0] > 1 else cascade.slopes_inside(inner, u)
+            return self._first_derivatives(inner, lambda: cascade.slopes_inside(inner, u))
 
         return cascade.with_rates(self.direct(t, inner, u, p, slopes), x, u)
+
+    def _first_derivatives(self, x: State, highest: Callable[[], Any]) -> Any:
+        """First derivatives of the outputs; `highest` gives those of the order r of each."""
+        if x.y.shape[0] == 1:
+            return highest()
+        if 1 not in self.degrees:
+            return x.y[1]
+        return jnp.where(np.asarray(self.degrees) == 1, highest(), x.y[1])
 
     def direct(self, t: Any, x: State, u: Any, p: Any, slopes: Callable[[], Any]) -> Any:
         """g without what is connected in series, whose states stand still.
@@ -417,12 +430,6 @@ class _Internal:
             if isinstance(placement.effect, AbstractInputEffect):
                 at_input = at_input.at[placement.channel].set(placement.effect.changed(at, shape))
         return jnp.concatenate(rates)
-
-
-def _first_derivatives(dynamics: _Dynamics | None, t: Any, x: State, u: Any, p: Any) -> Any:
-    """First derivatives of the outputs."""
-    assert dynamics is not None
-    return x.y[1] if x.y.shape[0] > 1 else dynamics(t, x, u, p)
 
 
 @dataclass(frozen=True)

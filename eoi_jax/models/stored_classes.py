@@ -123,6 +123,7 @@ CLASSES: Mapping[str, str] = {
     "Relaxation": "models.effects.memory",
     "SecondMass": "models.effects.memory",
     "SecondNode": "models.effects.memory",
+    "MaxwellElement": "models.effects.memory",
     "InternalOverflow": "models.effects.outflow",
     "Leak": "models.effects.outflow",
     "Overflow": "models.effects.outflow",

@@ -238,6 +238,19 @@ def test_bounds_of_an_effect_can_be_narrowed():
     assert (new.lower[-1], new.upper[-1]) == (0.05, 0.3)
 
 
+def test_a_second_store_follows_an_output_of_degree_one_beside_one_of_degree_two():
+    def joint(t, x, u, p):
+        return jnp.stack([x.y[0, 1] - p.spring * x.y[0, 0], u[0] - p.loss * x.y[0, 1]])
+
+    plant = eoi.Plant(joint, {"spring": 4.0, "loss": 0.5}, (2, 1), ("u",), ("angle", "heat"))
+    placed = place(plant, effects.SecondNode(), 1)
+    stored = augmented(plant, [placed], dict(zip(placed.names, (0.3, 0.2), strict=True)))
+    state = eoi.State(jnp.array([[0.1, 2.0], [7.0, 0.0]]), jnp.array([-0.4]))
+    rate = stored.internal_rate(jnp.zeros(()), state, jnp.array([3.0]), jnp.asarray(stored.theta))
+    heat_rate = 3.0 - 0.5 * 2.0 + 0.3 * -0.4
+    np.testing.assert_allclose(rate, [-0.2 * -0.4 - heat_rate], rtol=1e-12)
+
+
 @pytest.mark.parametrize(
     ("effect", "units"),
     [

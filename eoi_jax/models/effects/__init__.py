@@ -54,6 +54,7 @@ from eoi_jax.models.effects.library import rare as rare
 from eoi_jax.models.effects.library import standard as standard
 from eoi_jax.models.effects.library import wider as wider
 from eoi_jax.models.effects.memory import Hysteresis as Hysteresis
+from eoi_jax.models.effects.memory import MaxwellElement as MaxwellElement
 from eoi_jax.models.effects.memory import Relaxation as Relaxation
 from eoi_jax.models.effects.memory import SecondMass as SecondMass
 from eoi_jax.models.effects.memory import SecondNode as SecondNode

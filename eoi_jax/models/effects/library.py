@@ -33,7 +33,13 @@ from eoi_jax.models.effects.inputs import (
     RateLimit,
     ValveFlow,
 )
-from eoi_jax.models.effects.memory import Hysteresis, Relaxation, SecondMass, SecondNode
+from eoi_jax.models.effects.memory import (
+    Hysteresis,
+    MaxwellElement,
+    Relaxation,
+    SecondMass,
+    SecondNode,
+)
 from eoi_jax.models.effects.outflow import (
     InternalOverflow,
     Leak,
@@ -108,11 +114,11 @@ def wider() -> tuple[AbstractEffect, ...]:
 
     Products of signals, damping with the square of the displacement, with the size of the input,
     dry friction with that, or of a motion of which the output is the speed, a second mass (damped
-    in the spring, in its bearing), a second store, a loss with a power of the output, one that
-    saturates, radiation, a yield law, a limited control error, a limited current, a valve, a
-    limited rate of the actuator, a response to the rate of the input, a lag of the sensor, cells in
-    series (two; a fit goes on to 3, 6 and 12), a capacity that varies, a rate that differs between
-    rising and falling, a bent sensor.
+    in the spring, in its bearing), a second store, a spring and a damper in series, a loss with a
+    power of the output, one that saturates, radiation, a yield law, a limited control error, a
+    limited current, a valve, a limited rate of the actuator, a response to the rate of the input, a
+    lag of the sensor, cells in series (two; a fit goes on to 3, 6 and 12), a capacity that varies,
+    a rate that differs between rising and falling, a bent sensor.
 
     Returns:
         One object of each form.
@@ -132,6 +138,7 @@ def wider() -> tuple[AbstractEffect, ...]:
         SecondMass(),
         SecondMass(in_bearing=True),
         SecondNode(),
+        MaxwellElement(),
         PowerLoss(),
         SaturatingLoss(),
         Radiation(celsius=False),

@@ -1,5 +1,6 @@
 """Forces with memory."""
 
+from abc import abstractmethod
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -49,24 +50,18 @@ class Hysteresis(AbstractTerm):
         return -gain[0] * at.z[0]
 
 
-class SecondNode(AbstractTerm):
-    r"""A store that is not measured, beside the measured one: a (z - y), dz/dt = b (y - z).
+class AbstractDecay(AbstractTerm):
+    """a z, dz/dt = -b z - dy/dt: a force by a difference that decays while the output rests."""
 
-    Heat in a housing, charge behind a resistance, gas behind a throttle. In equilibrium at the
-    start of a record; the state is the difference w = z - y, dw/dt = -b w - dy/dt.
-    """
-
-    name = "second_node"
-    sentence = "a second store, not measured, that exchanges with the first one"
-    gains = (Parameter("exchange", "{f/y}", lower=0.0),)
     shapes = (Parameter("rate", "1/s", lower=0.0),)
     states = 1
     depends_on = "y"
     follows_slope = True
     only_in_free_runs = True
 
+    @abstractmethod
     def fits(self, plant: Plant, output: int) -> bool:
-        return plant.degrees[output] == 1
+        """Whether such a difference is meaningful for this output."""
 
     def grid(self, seen: Seen) -> Grid:
         return np.geomspace(1.0 / seen.duration, 0.5 / seen.sample_period, 12)[:, None]
@@ -92,6 +87,41 @@ class SecondNode(AbstractTerm):
         ends = states(np.full((1, 1), decay), np.full(1, -mean), change)[:, 0].T
         begins = np.concatenate([np.zeros((len(y), 1)), ends[:, :-1]], axis=1)
         return np.stack([begins, 0.5 * (begins + ends), ends], axis=-1)[None]
+
+
+class SecondNode(AbstractDecay):
+    r"""A store that is not measured, beside the measured one: a (z - y), dz/dt = b (y - z).
+
+    Heat in a housing, charge behind a resistance, gas behind a throttle. In equilibrium at the
+    start of a record; the state is the difference w = z - y, dw/dt = -b w - dy/dt.
+    """
+
+    name = "second_node"
+    sentence = "a second store, not measured, that exchanges with the first one"
+    gains = (Parameter("exchange", "{f/y}", lower=0.0),)
+
+    def fits(self, plant: Plant, output: int) -> bool:
+        return plant.degrees[output] == 1
+
+
+class MaxwellElement(AbstractDecay):
+    r"""A spring and a damper in series: a force -k w, dw/dt = dy/dt - b w.
+
+    w is the stretch of the spring, b = k/c with the damper c, 1/b the time of relaxation. Rubber
+    and foam, a mount with oil, the suspension of a loudspeaker that creeps; eddy currents, whose
+    inductance is the spring. Relaxed at the start of a record; the state is z = -w.
+
+    Source: J. C. Maxwell, Phil. Trans. R. Soc. 157 (1867) 49; a spring beside it makes the standard
+    linear solid (Zener).
+    """
+
+    name = "maxwell_element"
+    sentence = "a spring and a damper in series, which relax (rubber, a mount with oil)"
+    gains = (Parameter("stiffness", "{f/y}", lower=0.0),)
+
+    def fits(self, plant: Plant, output: int) -> bool:
+        # In free motion a spring, a damper and this have more parameters than there are modes.
+        return mechanical(plant, output) and bool(plant.inputs)
 
 
 class Relaxation(AbstractTerm):

@@ -77,6 +77,7 @@ CLOSED: dict[AbstractEffect, Callable[..., Any]] = {
     ),
     effects.SecondMass(in_bearing=True): lambda t, y, v, u, z, g, s: g[0] * s[0] * s[0] * z[0],
     effects.SecondNode(): lambda t, y, v, u, z, g, s: g[0] * z[0],
+    effects.MaxwellElement(): lambda t, y, v, u, z, g, s: g[0] * z[0],
     effects.Product("u", "y"): lambda t, y, v, u, z, g, s: g[0] * u * y,
     effects.Product("u", "v"): lambda t, y, v, u, z, g, s: g[0] * u * v,
     effects.Product("y", "v"): lambda t, y, v, u, z, g, s: g[0] * y * v,
