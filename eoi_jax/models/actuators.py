@@ -19,3 +19,10 @@ def have_past(actuator: Any, count: int) -> tuple[bool, ...]:
     """Which of `count` inputs may act later than they came; with one of the user's all may."""
     query = getattr(actuator, "have_past", None)
     return (actuator is not None,) * count if query is None else query(count)
+
+
+def changed_inputs(actuator: Any, count: int) -> tuple[int, ...]:
+    """Numbers of those of `count` inputs that an actuator changes; one of the user's may all."""
+    query = getattr(actuator, "changed_inputs", None)
+    everything = () if actuator is None else tuple(range(count))
+    return everything if query is None else query(count)

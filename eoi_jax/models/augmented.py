@@ -19,7 +19,7 @@ from jaxtyping import Float
 
 from eoi_jax._checks import check
 from eoi_jax._types import WHERE_SET
-from eoi_jax.models.actuators import are_linear, have_past, keeps_steps
+from eoi_jax.models.actuators import are_linear, changed_inputs, have_past, keeps_steps
 from eoi_jax.models.cascade import Cascade, Stage
 from eoi_jax.models.effects.effect import (
     INPUT_EFFECTS,
@@ -457,6 +457,15 @@ class _Actuator:
             for column in (placement.channel, placement.through)
         }
         return tuple(flag or i in acting for i, flag in enumerate(have_past(self.base, count)))
+
+    def changed_inputs(self, count: int) -> tuple[int, ...]:
+        """Numbers of the inputs that come out other than they went in."""
+        changed = {
+            placement.channel
+            for placement in self.placed
+            if isinstance(placement.effect, AbstractActuator)
+        }
+        return tuple(sorted(changed.union(changed_inputs(self.base, count))))
 
     def _all_have(self, attribute: str, base: tuple[bool, ...]) -> tuple[bool, ...]:
         """On which inputs the plant's actuator and all new ones have an attribute."""

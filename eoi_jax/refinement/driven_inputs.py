@@ -9,11 +9,15 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
-from eoi_jax.models.actuators import have_past
+from eoi_jax.models.actuators import changed_inputs, have_past
 from eoi_jax.models.plant import Plant
 from eoi_jax.simulation.integrator import Drive
 from eoi_jax.simulation.sensitivity import Host
-from eoi_jax.simulation.simulate import actuated, actuated_on_host
+from eoi_jax.simulation.simulate import (
+    actuated,
+    changed_on_host,
+    step_means,
+)
 
 
 class DrivenInputs(eqx.Module):
@@ -21,13 +25,14 @@ class DrivenInputs(eqx.Module):
 
     Attributes:
         inputs: at the start, the middle and the end of each step.
-        slope: with the parameters that may move them.
-        past: with the levels before the record, of the first run of each segment; zero for others.
+        slope: of `changed_inputs` with the parameters that may move them.
+        past: of the same with the levels before the record of all inputs, of the first run of each
+            segment; zero for others.
     """
 
     inputs: Float[Host, "runs rows 3 nu"]
-    slope: Float[Host, "runs rows 3 nu acting"]
-    past: Float[Host, "runs rows 3 nu nu"]
+    slope: Float[Host, "runs rows 3 changed acting"]
+    past: Float[Host, "runs rows 3 changed nu"]
 
 
 def driven_inputs(
@@ -60,9 +65,10 @@ def driven_inputs(
         return inputs_of_all(theta, jnp.broadcast_to(level, levels.shape))
 
     inputs, slope = _with_slope(lambda theta: inputs_of_all(theta, levels), theta)
-    past = jax.jacfwd(with_one_level)(levels[0])[places]
+    changed = np.array(changed_inputs(plant.actuator, len(plant.inputs)), int)
+    past = jax.jacfwd(with_one_level)(levels[0])[places][..., changed, :]
     leads = jnp.zeros(len(past)).at[leaders].set(1.0)
-    slope = slope[..., np.asarray(acting, int)]
+    slope = slope[..., changed, :][..., np.asarray(acting, int)]
     return DrivenInputs(inputs[places], slope[places], leads[:, None, None, None, None] * past)
 
 
@@ -80,31 +86,35 @@ def driven_on_host(
     Derivatives with time constants and delays are differences: a delay is linear between samples,
     and a lag is smooth.
     """
+    means = [step_means(np, plant, part) for part in record_drives]
+    ends = None if plant.has_algebraic else -1
 
-    def inputs_of_all(theta: np.ndarray, levels: np.ndarray) -> np.ndarray:
-        parts = zip(record_drives, levels, strict=True)
+    def acted_at(theta: np.ndarray, levels: np.ndarray) -> np.ndarray:
+        parts = zip(record_drives, means, levels, strict=True)
         return np.concatenate(
-            [actuated_on_host(plant, theta, part, level) for part, level in parts]
+            [
+                changed_on_host(plant, theta, averaged, part.substeps, level)[:ends]
+                for part, averaged, level in parts
+            ]
         )
 
-    inputs = inputs_of_all(theta, levels)
-    slope = np.empty((*inputs.shape, len(acting)))
+    changed = acted_at(theta, levels)
+    inputs = np.concatenate([averaged.stages[:ends] for averaged in means])[places]
+    inputs[..., changed_inputs(plant.actuator, len(plant.inputs))] = changed[places]
+    slope = np.empty((*places.shape, *changed.shape[1:], len(acting)))
     for column, i in enumerate(acting):
 
         def moved(value: float, i: int = i) -> np.ndarray:
-            return inputs_of_all(_with(theta, i, value), levels)
+            return acted_at(_with(theta, i, value), levels)
 
-        slope[..., column] = _difference(moved, theta[i], record_drives)
-    risen = np.zeros((*inputs.shape, levels.shape[-1]))
+        slope[..., column] = _difference(moved, theta[i], record_drives)[places]
+    past = np.zeros((*places.shape, *changed.shape[1:], levels.shape[-1]))
     acts_later = have_past(plant.actuator, levels.shape[-1])
     for column, change in enumerate(_changes(record_drives)):
         if acts_later[column]:
-            risen[..., column] = _with_level(
-                lambda past: inputs_of_all(theta, past), levels, column, change
-            )
-    past = np.zeros((*places.shape, *risen.shape[1:]))
-    past[leaders] = risen[places[leaders]]
-    return DrivenInputs(inputs[places], slope[places], past)
+            risen = _with_level(lambda past: acted_at(theta, past), levels, column, change)
+            past[leaders, ..., column] = risen[places[leaders]]
+    return DrivenInputs(inputs, slope, past)
 
 
 def _with(array: np.ndarray, place: Any, value: Any) -> np.ndarray:

@@ -19,7 +19,7 @@ from jaxtyping import Array, Bool, Float, Int
 from eoi_jax._status import NATIVE, EngineUsed
 from eoi_jax.data.record import Record
 from eoi_jax.data.windows import start_samples
-from eoi_jax.models.actuators import are_linear
+from eoi_jax.models.actuators import are_linear, changed_inputs
 from eoi_jax.models.plant import Plant
 from eoi_jax.models.step_scales import StepScales, step_scales
 from eoi_jax.refinement.driven_inputs import DrivenInputs, driven_inputs, driven_on_host
@@ -341,10 +341,9 @@ def _heads(problem: Problem, count: int) -> tuple[Drive, np.ndarray | None]:
         settled = np.zeros((len(problem.leaders), nu))
         linear = np.asarray(are_linear(plant.actuator, nu))
         driving = _driven(problem, problem.theta, settled)
-        inputs, past = (
-            np.asarray(driving.inputs)[:, rows],
-            linear * np.asarray(driving.past)[:, rows][:, :-1],
-        )
+        inputs, risen = (np.asarray(part)[:, rows] for part in (driving.inputs, driving.past))
+        past = np.zeros((*inputs[:, :-1].shape, nu))
+        past[..., changed_inputs(plant.actuator, nu), :] = linear * risen[:, :-1]
     times, steps = head[:, :-1, time][..., 0], np.asarray(problem.steps)
     return Drive(times, steps, inputs[:, :-1], problem.substeps, inputs[:, -1, 0]), past
 

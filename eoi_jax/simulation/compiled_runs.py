@@ -22,6 +22,7 @@ from eoi_jax.compiler.derivatives import jvp
 from eoi_jax.compiler.graph import Untranslatable
 from eoi_jax.compiler.loop import AbstractLoop, shapes_of
 from eoi_jax.compiler.runtime import CompiledLoop, compiled_loop, cores, numbers, run_in_threads
+from eoi_jax.models.actuators import changed_inputs
 from eoi_jax.models.jacobians import has_sampled_actuator
 from eoi_jax.models.plant import State
 from eoi_jax.simulation.sensitivity import Direction, RunCarry, RunKernel, RunLane, RunRow, added_up
@@ -320,8 +321,9 @@ class _OneLane:
 def _one_run(kernel: RunKernel, start_size: int) -> CompiledLoop:
     dtype, plant = np.dtype(float), kernel.plant
     nu, ny = len(plant.inputs), len(plant.outputs)
-    acting = None if plant.actuator is None else len(kernel.acting)
-    run, step = _shapes(len(plant.names), start_size, nu, ny, acting)
+    changed = len(changed_inputs(plant.actuator, nu))
+    counts = None if plant.actuator is None else (changed, len(kernel.acting))
+    run, step = _shapes(len(plant.names), start_size, nu, ny, counts)
     directions = kernel.directions(start_size)
     lane = shapes_of(directions, dtype, skip=1)
     loop = _OneRun(shapes_of(kernel, dtype), lane, run, step, dtype)
@@ -343,14 +345,16 @@ def _code(
 
 @functools.cache
 def _shapes(
-    size: int, start_size: int, nu: int, ny: int, acting: int | None = None
+    size: int, start_size: int, nu: int, ny: int, counts: tuple[int, int] | None = None
 ) -> tuple[RunLane, RunRow]:
-    """Of a lane and a row; behind actuators inputs have derivatives with so many parameters."""
+    """Of a lane and a row; behind actuators so many inputs move with so many parameters."""
     scalar = np.zeros(())
     lane = RunLane(np.zeros(size), np.zeros(start_size), scalar, np.zeros(ny), scalar)
     row = RunRow(scalar, np.zeros((3, nu)), np.zeros(ny), np.zeros(ny))
-    if acting is not None:
-        row = replace(row, slope=np.zeros((3, nu, acting)), past=np.zeros((3, nu, nu)))
+    if counts is not None:
+        changed, acting = counts
+        shapes = (3, changed, acting), (3, changed, nu)
+        row = replace(row, slope=np.zeros(shapes[0]), past=np.zeros(shapes[1]))
     return shapes_of((lane, row), np.dtype(float))
 
 

@@ -26,6 +26,7 @@ from jaxtyping import Array, Float
 
 from eoi_jax._types import Scalar
 from eoi_jax.compiler.pointwise import along
+from eoi_jax.models.actuators import changed_inputs
 from eoi_jax.models.plant import Plant, State
 from eoi_jax.models.start_weights import proportional_starts, starts_anywhere
 from eoi_jax.simulation.integrator import advanced, output_of
@@ -63,17 +64,17 @@ class RunRow(eqx.Module):
         inputs: at its start, middle and end, shape (3, nu).
         y: outputs at its start, anything finite where not scored.
         use: 1 where scored, 0 where not; shape (ny,).
-        slope: derivatives of the inputs with `RunKernel.acting` at the lane's own values, behind
-            actuators; else None.
-        past: derivatives of the inputs with their levels before the record; likewise.
+        slope: derivatives of the inputs that actuators change with `RunKernel.acting` at the lane's
+            own values; None without actuators.
+        past: derivatives of these inputs with the levels of all before the record; likewise.
     """
 
     time: Float[Host, "*steps"]
     inputs: Float[Host, "*steps 3 nu"]
     y: Float[Host, "*steps ny"]
     use: Float[Host, "*steps ny"]
-    slope: Float[Host, "*steps 3 nu acting"] | None = None
-    past: Float[Host, "*steps 3 nu nu"] | None = None
+    slope: Float[Host, "*steps 3 changed acting"] | None = None
+    past: Float[Host, "*steps 3 changed nu"] | None = None
 
 
 class Direction(eqx.Module):
@@ -265,7 +266,12 @@ class RunKernel(eqx.Module):
         assert row.past is not None
         slope, past = jnp.asarray(row.slope), jnp.asarray(row.past)
         levels = jnp.asarray(direction.start)[-past.shape[-1] :]
-        return slope @ jnp.asarray(direction.theta)[np.asarray(self.acting, int)] + past @ levels
+        theta = jnp.asarray(direction.theta)[np.asarray(self.acting, int)]
+        change = slope @ theta + past @ levels
+        nu = len(self.plant.inputs)
+        columns = dict(zip(changed_inputs(self.plant.actuator, nu), change.T, strict=True))
+        still = jnp.zeros_like(change[:, 0])
+        return jnp.stack([columns.get(i, still) for i in range(nu)], axis=1)
 
     def _square(self, lane: RunLane, scored: Array) -> Float[Array, "size size"]:
         """Σ w c cᵀ over the outputs; in its corner the loss, so that it is the cost."""

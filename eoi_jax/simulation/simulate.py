@@ -4,7 +4,7 @@ Integrated by `trajectory`, or, for smooth plants, by diffrax as an independent 
 """
 
 from collections.abc import Callable, Mapping
-from typing import Any
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -30,7 +30,7 @@ from eoi_jax.data.input_holds import (
 )
 from eoi_jax.data.record import Record
 from eoi_jax.data.resampling import acting_inputs, inputs_within_steps
-from eoi_jax.models.actuators import are_linear, have_past, keeps_steps
+from eoi_jax.models.actuators import are_linear, changed_inputs, have_past, keeps_steps
 from eoi_jax.models.jacobians import has_sampled_actuator
 from eoi_jax.models.known_starts import start_by_name
 from eoi_jax.models.plant import Plant, State
@@ -228,8 +228,8 @@ def _shifted_stages(
 def acted(plant: Plant, driven_by: Drive, theta: Theta | None = None) -> Drive:
     """The drive of a whole record behind the actuators of a plant.
 
-    Between the steps it is taken to be continuous: parabolas with the means over the steps. A held
-    input stays a staircase behind a delay.
+    Between the steps what an actuator changes is taken to be continuous: parabolas with the means
+    over the steps. A held input stays a staircase behind a delay.
 
     Args:
         plant: with an actuator, or without.
@@ -262,48 +262,86 @@ def actuated(
         The inputs of `acted`, at the start, the middle and the end of each step. If an output has
         relative degree 0, those of one step more, which its sample at the end of the run needs.
     """
-    return parabolas(jnp, plant, lambda t, u: plant.driven(t, u, theta), driven_by, past)
+    averaged = step_means(jnp, plant, driven_by)
+    changed = parabolas(
+        jnp, plant, lambda t, u: plant.driven(t, u, theta), averaged, driven_by.substeps, past
+    )
+    columns = np.array(changed_inputs(plant.actuator, len(plant.inputs)), int)
+    inputs = averaged.stages.at[..., columns].set(changed)
+    return inputs[: len(inputs) if plant.has_algebraic else -1]
+
+
+class StepMeans(NamedTuple):
+    """Inputs before the actuators of a plant, as these take them.
+
+    Attributes:
+        stages: inputs at the start, the middle and the end of each step, and of one more, which
+            tells how the last one ends; (steps + 1, 3, nu).
+        middles: of the steps [s], a step in front of the record first.
+        means: over these steps; in front of the record that of its first step.
+        is_held: which inputs are constant in each step, of those that come out of a hold held.
+    """
+
+    stages: Any
+    middles: Any
+    means: Any
+    is_held: Any
+
+
+def step_means(xp: Any, plant: Plant, driven_by: Drive) -> StepMeans:
+    """What the actuators of a plant take, by NumPy or JAX.
+
+    Args:
+        xp: NumPy or JAX's.
+        plant: with an actuator.
+        driven_by: of a whole record.
+    """
+    time, inputs = xp.asarray(driven_by.time), xp.asarray(driven_by.inputs)
+    middles = xp.concatenate([time[:1] - driven_by.step, time, time[-1:] + driven_by.step])
+    held_on = xp.broadcast_to(xp.asarray(driven_by.last), (1, *inputs.shape[1:]))
+    stages = xp.concatenate([inputs, held_on])
+    first, middle, last = xp.moveaxis(stages, 1, 0)
+    mean = (first + 4.0 * middle + last) / 6.0
+    is_held = xp.all(first == last, axis=0)
+    is_held &= np.asarray(keeps_steps(plant.actuator, len(plant.inputs)))
+    means = xp.concatenate([mean[:1], mean])
+    return StepMeans(stages, middles + 0.5 * driven_by.step, means, is_held)
 
 
 def parabolas(
     xp: Any,
     plant: Plant,
     actuate: Callable[[Any, Any], Any],
-    driven_by: Drive,
+    averaged: StepMeans,
+    substeps: int,
     past: Float[Any, " nu"] | None,
-) -> Float[Any, "steps 3 nu"]:
-    """Inputs behind the actuators of a plant from their means over the steps, by NumPy or JAX.
+) -> Float[Any, "steps 3 changed"]:
+    """`changed_inputs` behind the actuators of a plant from their means over the steps.
 
     Args:
         xp: NumPy or JAX's.
         plant: with an actuator.
         actuate: means of the inputs over the steps behind it, from the middles of the steps and the
             means before it.
-        driven_by: of a whole record.
+        averaged: the inputs before it.
+        substeps: steps between two samples.
         past: as in `actuated`.
+
+    Returns:
+        Of one step more than the record has, at the start, the middle and the end of each.
     """
-    time, inputs = xp.asarray(driven_by.time), xp.asarray(driven_by.inputs)
-    steps = len(time)
-    # A step more, which tells how the last one ends.
-    time = xp.concatenate([time, time[-1:] + driven_by.step])
-    held_on = xp.broadcast_to(xp.asarray(driven_by.last), (1, *inputs.shape[1:]))
-    first, middle, last = xp.moveaxis(xp.concatenate([inputs, held_on]), 1, 0)
-    mean = (first + 4.0 * middle + last) / 6.0
-    middles = time + 0.5 * driven_by.step
+    columns = np.array(changed_inputs(plant.actuator, len(plant.inputs)), int)
     if past is None:
-        mean = actuate(middles, mean)
+        mean = actuate(averaged.middles[1:], averaged.means[1:])[:, columns]
     else:  # a step more, in which an actuator is settled at that level
-        middles = xp.concatenate([middles[:1] - driven_by.step, middles])
-        mean = actuate(middles, xp.concatenate([mean[:1] + past, mean]))[1:]
+        means = xp.concatenate([averaged.means[:1] + past, averaged.means[1:]])
+        mean = actuate(averaged.middles, means)[1:, columns]
     ends = xp.concatenate([mean[:1], 0.5 * (mean[1:] + mean[:-1]), mean[-1:]])
     begins, stops = ends[:-1], ends[1:]
     parts = xp.stack([begins, 1.5 * mean - 0.25 * (begins + stops), stops], axis=1)
-    is_held = xp.all(first == last, axis=0)
-    is_held &= np.asarray(keeps_steps(plant.actuator, len(plant.inputs)))
-    if plant.has_algebraic:
-        return xp.where(is_held, mean[:, None], parts)
-    held = _staircase(xp, mean) if driven_by.substeps > 1 else mean[:, None]
-    return xp.where(is_held, held, parts)[:steps]
+    staircase = substeps > 1 and not plant.has_algebraic
+    held = _staircase(xp, mean) if staircase else mean[:, None]
+    return xp.where(averaged.is_held[columns], held, parts)
 
 
 def _staircase(xp: Any, mean: Float[Any, "steps nu"]) -> Float[Any, "steps 3 nu"]:
@@ -363,12 +401,27 @@ def actuated_on_host(
     past: Float[np.ndarray, " nu"] | None = None,
 ) -> Float[np.ndarray, "steps 3 nu"]:
     """`actuated` by NumPy, where `has_sampled_actuator` says so; arguments as there."""
+    averaged = step_means(np, plant, driven_by)
+    inputs = np.array(averaged.stages)
+    changed = changed_on_host(plant, theta, averaged, driven_by.substeps, past)
+    inputs[..., changed_inputs(plant.actuator, len(plant.inputs))] = changed
+    return inputs[: len(inputs) if plant.has_algebraic else -1]
+
+
+def changed_on_host(
+    plant: Plant,
+    theta: Float[np.ndarray, " np"],
+    averaged: StepMeans,
+    substeps: int,
+    past: Float[np.ndarray, " nu"] | None,
+) -> Float[np.ndarray, "steps 3 changed"]:
+    """`parabolas` by NumPy, where `has_sampled_actuator` says so; arguments as there."""
     values = dict(zip(plant.names, theta.tolist(), strict=True))
 
     def actuate(middles: np.ndarray, mean: np.ndarray) -> np.ndarray:
         return plant.actuator.sampled(middles, mean, values)  # pyright: ignore
 
-    return parabolas(np, plant, actuate, driven_by, past)
+    return parabolas(np, plant, actuate, averaged, substeps, past)
 
 
 def _actuated_by_values(plant: Plant, driven_by: Drive) -> Float[np.ndarray, "steps 3 nu"]:

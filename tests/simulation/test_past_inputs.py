@@ -8,7 +8,7 @@ from scipy.integrate import solve_ivp
 
 import eoi_jax as eoi
 from eoi_jax.models.augmented import augmented, place
-from eoi_jax.models.effects import RateLimit
+from eoi_jax.models.effects import ActuatorLag, RateLimit
 from eoi_jax.models.equations.text_model import plant_from_text
 from eoi_jax.refinement.problem import kernel_of
 from eoi_jax.simulation.simulate import acted, actuated, actuated_on_host, drive, past_slopes
@@ -152,3 +152,20 @@ def test_level_before_a_limit_of_the_rate_is_no_extrapolation(nominal):
     assert refined.status.code == "converged"
     assert refined.parameters["rate_limit"] == pytest.approx(LIMIT, rel=2e-3)
     assert refined.parameters["omega"] == pytest.approx(OMEGA, rel=2e-3)
+
+
+def test_an_input_that_no_actuator_changes_passes_as_it_is():
+    """At the kinks of a linear hold, too, where parabolas through means are no straight lines."""
+    two = eoi.Plant(
+        lambda t, x, u, p: p.a * (u[0] + u[1] - x.y[0]), {"a": 0.5}, 1, inputs=("u", "w")
+    )
+    placed = place(two, ActuatorLag(), 0)
+    lagged = augmented(two, [placed], {placed.names[0]: 0.3})
+    time = np.arange(30) * 0.1
+    signals = np.random.default_rng(0).standard_normal((30, 2))
+    driven_by = drive(time, signals, "linear", 4)
+    inputs = np.asarray(acted(lagged, driven_by).inputs)
+    np.testing.assert_array_equal(inputs[..., 1], np.asarray(driven_by.inputs)[..., 1])
+    assert not np.allclose(inputs[..., 0], np.asarray(driven_by.inputs)[..., 0])
+    theta = jnp.asarray(lagged.theta)
+    np.testing.assert_allclose(inputs, actuated(lagged, theta, driven_by), rtol=1e-12, atol=1e-12)
