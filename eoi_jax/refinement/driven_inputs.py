@@ -109,11 +109,10 @@ def driven_on_host(
 
         slope[..., column] = _difference(moved, theta[i], record_drives)[places]
     past = np.zeros((*places.shape, *changed.shape[1:], levels.shape[-1]))
-    acts_later = have_past(plant.actuator, levels.shape[-1])
-    for column, change in enumerate(_changes(record_drives)):
-        if acts_later[column]:
-            risen = _with_level(lambda past: acted_at(theta, past), levels, column, change)
-            past[leaders, ..., column] = risen[places[leaders]]
+    for column in np.flatnonzero(have_past(plant.actuator, levels.shape[-1])).tolist():
+        change = _change(record_drives, column)
+        risen = _with_level(lambda past: acted_at(theta, past), levels, column, change)
+        past[leaders, ..., column] = risen[places[leaders]]
     return DrivenInputs(inputs, slope, past)
 
 
@@ -123,14 +122,14 @@ def _with(array: np.ndarray, place: Any, value: Any) -> np.ndarray:
     return changed
 
 
-def _changes(record_drives: Sequence[Drive], share: float = 0.1) -> Float[np.ndarray, " nu"]:
-    """Changes of the levels of the inputs for differences: a `share` of their range; 1 without one.
+def _change(record_drives: Sequence[Drive], column: int, share: float = 0.1) -> float:
+    """Change of the level of an input for differences: a `share` of its range; 1 without one.
 
     A limit of the rate makes up for a small one within a step, and has no derivative there.
     """
-    inputs = [np.asarray(part.inputs).reshape(-1, part.inputs.shape[-1]) for part in record_drives]
-    ranges = share * np.ptp(np.concatenate(inputs), axis=0)
-    return np.where(ranges > 0.0, ranges, 1.0)
+    starts = [np.asarray(part.inputs)[:, 0, column] for part in record_drives]
+    reach = max(map(np.max, starts)) - min(map(np.min, starts))
+    return float(share * reach) or 1.0
 
 
 def _with_level(
