@@ -189,7 +189,8 @@ class LinearisedRuns:
         new = np.isfinite(remaining_power) & (remaining_power > _SETTINGS.min_new * power)
         count = columns.shape[1] // len(grid)
         parts = [slice(i * count, (i + 1) * count) for i in range(len(grid))]
-        return [Try(placed, shape, columns[:, part])
+        of_level = self.is_stepped(placed)
+        return [Try(placed, shape, columns[:, part], of_level)
                 for shape, part in zip(grid, parts, strict=True) if np.all(new[part])]  # fmt: skip
 
     def pair_shares(self, tries: Sequence["Try"]) -> Float[np.ndarray, "tries tries"]:
@@ -305,7 +306,9 @@ class LinearisedRuns:
         t, u, y, z = self.stages
         effect, i = placed.effect, placed.channel
         new = np.array(u)
-        if isinstance(effect, AbstractActuator):
+        if self.is_stepped(placed):
+            new[..., i] += self._late_step(placed, shape)[..., None]
+        elif isinstance(effect, AbstractActuator):
             mean = (u[..., 0, :] + 4.0 * u[..., 1, :] + u[..., 2, :]) / 6.0
             for run, drives in enumerate(placed.drives(mean)):
                 late = effect.sampled(t[run, :, 1], drives, np.reshape(shape, (1, -1)))[0]
@@ -318,6 +321,27 @@ class LinearisedRuns:
             changed = along(ChangedInput(effect), axes, signals, shape, np.zeros(0))
             new[..., i] = changed.reshape(t.shape)
         return _drift(self.plant, t, new, y, z) - self._unchanged
+
+    def is_stepped(self, placed: Placed) -> bool:
+        """Whether an actuator acts on an input that stands still: it may have risen before.
+
+        A step response that begins with its step tells of a lag as well as another one does. Its
+        gain is then the level of the input before the records, less that in them.
+        """
+        effect, u = placed.effect, self.stages[1]
+        linear = isinstance(effect, AbstractActuator) and effect.is_linear and not effect.has_driver
+        return linear and not np.any(np.ptp(u[..., placed.channel], axis=(1, 2)))
+
+    def _late_step(self, placed: Placed, shape: np.ndarray) -> Float[np.ndarray, "runs samples"]:
+        """What is left behind an actuator of a unit level before each record."""
+        assert isinstance(placed.effect, AbstractActuator)
+        t, left = self.stages[0], np.zeros(self.stages[0].shape[:2])
+        for run in np.flatnonzero(np.asarray(self.problem.declared)):
+            middles = t[run, :, 1]
+            times = np.concatenate([2.0 * middles[:1] - middles[1:2], middles])
+            level = np.concatenate([[1.0], np.zeros(len(middles))])
+            left[run] = placed.effect.sampled(times, level, np.reshape(shape, (1, -1)))[0, 1:]
+        return left
 
     def _with_changed_model(self, placed: Placed, grid: np.ndarray) -> list[np.ndarray]:
         """f of a changed model less f; none where that changes internal states, too."""
@@ -366,11 +390,19 @@ class LinearisedRuns:
 
 @dataclass(frozen=True)
 class Try:
-    """An effect at one shape: what its gains do to the errors beside the model's own unknowns."""
+    """An effect at one shape: what its gains do to the errors beside the model's own unknowns.
+
+    Attributes:
+        placed: the effect.
+        shape: values of its shapes.
+        columns: of the errors, with each gain.
+        of_level: whether the gain is a level of the input before the records, of either sign.
+    """
 
     placed: Placed
     shape: Float[np.ndarray, " shapes"]
     columns: Columns
+    of_level: bool = False
 
     def named(self, gains: np.ndarray) -> dict[str, float]:
         """Its parameters."""
@@ -383,8 +415,9 @@ class Try:
         values = self.named(gains).values()
         pairs = zip(values, effect.parameters, strict=True)
         allowed = all(parameter.lower <= value <= parameter.upper for value, parameter in pairs)
-        low, high = _SETTINGS.min_change, _SETTINGS.max_change
-        return allowed and (bool(effect.gains) or bool(low < gains[0] < high))
+        if effect.gains or self.of_level:
+            return allowed
+        return allowed and bool(_SETTINGS.min_change < gains[0] < _SETTINGS.max_change)
 
 
 def _is_behind(effect: AbstractEffect) -> bool:

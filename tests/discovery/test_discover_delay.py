@@ -213,3 +213,37 @@ def test_a_delay_that_its_standard_error_tells_from_the_end_of_the_grid_is_not_a
     assert beyond_grid(1.001e-4, np.inf, *grid) == beyond_grid(1.001e-4, np.nan, *grid) == "smaller"
     assert beyond_grid(grid[0], 1e-9, *grid) == "smaller"
     assert beyond_grid(grid[1], 1e-9, *grid) == "larger"
+
+
+def _stepped(size: float, seed: int) -> eoi.Record:
+    """Warming behind a dead time of 8 s; the record begins when the power is switched on."""
+    time = np.arange(200.0)
+    warmed = 2.0 * size * (1.0 - np.exp(-np.maximum(time - 8.0, 0.0) / 30.0))
+    noise = 0.01 * np.random.default_rng(seed).standard_normal(len(time))
+    return eoi.Record(time, np.full((200, 1), size), (20.0 + warmed + noise)[:, None], str(size))
+
+
+def _warmed() -> eoi.Plant:
+    return eoi.Plant(
+        lambda t, x, u, p: (p.gain * u - (x.y[0] - 20.0)) / p.tau, {"gain": 1.5, "tau": 20.0},
+        relative_degree=1, bounds={"tau": (1.0, np.inf)},
+    )  # fmt: skip
+
+
+def test_a_step_that_begins_the_records_tells_of_a_dead_time():
+    """The input stands still in them: what it was before is the gain of the score test."""
+    refined = eoi.refine(_warmed(), [_stepped(1.0, 1), _stepped(2.0, 2)])
+    tried = [effects.InputDelay(), effects.InputDeadZone()]
+    first = eoi.remaining(refined, tried).ranking[0]
+    assert first.names == ("input_delay",)
+    assert first.share > 0.5
+    assert first.values["input_delay"] == pytest.approx(8.0, rel=0.3)
+
+
+@pytest.mark.slow
+def test_a_dead_time_is_named_where_records_begin_with_their_step():
+    held_out = [_stepped(1.5, 3)]
+    found = eoi.discover(_warmed(), [_stepped(1.0, 1), _stepped(2.0, 2)], validation=held_out)
+    assert found.effects == ("input_delay",)
+    assert found.plant.parameters["input_delay"] == pytest.approx(8.0, abs=0.3)
+    assert found.plant.parameters["tau"] == pytest.approx(30.0, rel=0.02)
