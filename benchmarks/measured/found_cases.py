@@ -25,6 +25,7 @@ from benchmarks.measured.found_actuated_cases import ACTUATED
 from benchmarks.measured.found_blind_cases import BLIND
 from benchmarks.measured.found_cooling_cases import COOLERS
 from benchmarks.measured.found_driven_cases import DRIVEN
+from benchmarks.measured.found_far_cases import FAR
 from benchmarks.measured.found_field_cases import FIELD
 from benchmarks.measured.found_flow_cases import FLOWS
 from benchmarks.measured.found_fresh_cases import FRESH
@@ -433,4 +434,5 @@ FOUND: Mapping[str, FoundSet] = {
     **HEATED,
     **FIELD,
     **JOINTS,
+    **FAR,
 }
