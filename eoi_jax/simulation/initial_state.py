@@ -152,7 +152,8 @@ def window_starts(
     if fixed is not None:
         starts = np.where(np.isfinite(fixed)[:, None], fixed[:, None], starts)
     spread = _spread(y, np.zeros(len(y), int) if owners is None else owners)
-    first_samples = _Heads(run, heads, y, valid, period, spread, past, fixed)
+    pairs = () if past is None else moving_pairs(past)
+    first_samples = _Heads(run, heads, y, valid, period, spread, past, fixed, pairs)
     cost, values = _descend(first_samples, starts, measured)
     if not np.any(run.plant.open_internal) and past is None:
         return values, values
@@ -361,6 +362,7 @@ class _Heads:
     spread: Float[np.ndarray, "runs ny"]
     past: Float[np.ndarray, "runs steps 3 nu past"] | None = None
     fixed: Starts | None = None  # finite where an unknown stays as it is
+    pairs: "Pairs" = ()  # `moving_pairs` of the past
 
     def part(self, runs: Int[np.ndarray, " some"]) -> "_Heads":
         """The first samples of some of the runs."""
@@ -434,7 +436,7 @@ class _Heads:
         owner = np.repeat(np.arange(len(values)), values.shape[1])
         starts, driving = states_of(run, lanes), self._driving(owner)
         if self.past is not None:
-            driving = with_past(driving, self.past[owner], lanes)
+            driving = with_past(driving, self.past, lanes, self.pairs, owner)
         outputs = run.chain.outputs(driving, starts)
         return outputs.reshape(*values.shape[:2], *outputs.shape[1:])
 
@@ -510,8 +512,15 @@ def states_of(run: Run, values: Starts) -> State:
     return State(y, z)
 
 
+Pairs = tuple[tuple[int, int], ...]
+
+
 def with_past(
-    drives: Drive, past: Float[np.ndarray, "runs steps 3 nu past"], values: Starts
+    drives: Drive,
+    past: Float[np.ndarray, "runs steps 3 nu past"],
+    values: Float[np.ndarray, "drives unknowns"],
+    pairs: Pairs,
+    owners: Int[np.ndarray, " drives"] | None = None,
 ) -> Drive:
     """What drives runs whose inputs were at other levels before the record.
 
@@ -519,6 +528,18 @@ def with_past(
         drives: of each run, if the inputs have always been at their first values.
         past: how the inputs change with these levels.
         values: unknowns of each run, of which the last ones are the levels.
+        pairs: as of `moving_pairs`.
+        owners: the row of `past` of each drive; None: one each.
     """
-    moved = np.einsum("rsfup,rp->rsfu", past, values[:, -past.shape[-1] :])
-    return Drive(drives.time, drives.step, drives.inputs + moved, drives.substeps, drives.last)
+    levels = values[:, -past.shape[-1] :]
+    inputs = np.array(drives.inputs, dtype=float)
+    for i, column in pairs:
+        part = past[..., i, column]
+        inputs[..., i] += (part if owners is None else part[owners]) * levels[:, column, None, None]
+    return Drive(drives.time, drives.step, inputs, drives.substeps, drives.last)
+
+
+def moving_pairs(past: Float[np.ndarray, "runs steps 3 nu past"]) -> Pairs:
+    """Which inputs move with which levels: few of all pairs, as an actuator has one input."""
+    moving = np.argwhere(np.any(past != 0.0, axis=(0, 1, 2)))
+    return tuple((i, column) for i, column in moving.tolist())

@@ -23,6 +23,7 @@ from eoi_jax.simulation.initial_state import (
     Run,
     Starts,
     initial_states,
+    moving_pairs,
     states_of,
     window_starts,
     with_past,
@@ -61,7 +62,7 @@ class Course:
     def drives(self, starts: Sequence[int], steps: int, values: Starts) -> Drive:
         """What drives runs of so many samples' steps that start with these values."""
         drives, past = _parts(self.drive, starts, steps), self._past(starts, steps)
-        return drives if past is None else with_past(drives, past, values)
+        return drives if past is None else with_past(drives, past, values, moving_pairs(past))
 
     def _past(self, starts: Sequence[int], steps: int) -> np.ndarray | None:
         return None if self.past is None else self.past[_steps(self.drive, starts, steps)]
