@@ -2,7 +2,7 @@ r"""Coefficients that depend on a signal: the parameters of a linear parameter-v
 
 A resistance, a viscosity, a rate of a reaction or a heat loss changes with a temperature, a load, a
 position, a flow, or with time. A declared parameter p is then multiplied by a law of the
-*scheduling signal* z, of which there are four forms. With $z_0$ a constant in the middle of the
+*scheduling signal* z, of which there are five forms. With $z_0$ a constant in the middle of the
 records and a the relative slope there, so that p stays what it was,
 
 | form | in place of p |
@@ -11,10 +11,11 @@ records and a the relative slope there, so that p stays what it was,
 | Arrhenius | $p\,e^{a T_0^2 (1/T_0 - 1/T)}$, T the absolute temperature: rates of reactions |
 | linear | $p\,(1 + a\,(z - z_0))$: metals, what wears |
 | power | $p\,(z/z_0)^{a z_0}$ of a signal that is positive: heat transfer by a flow |
+| even | $p\,(1 + a z^2)$ of a signal that takes both signs: a force factor, an inertia |
 
-To first order all are $p\,(1 + a\,(z - z_0))$, which adds
-$\partial f/\partial p \cdot p\,(z - z_0)\,a$ to y^(r). Where a law of one signal does the same (a
-square, a cube, a spring, a drift), that law names it.
+To first order all but the even one, which is tried beside them, are $p\,(1 + a\,(z - z_0))$. That
+adds $\partial f/\partial p \cdot p\,(z - z_0)\,a$ to y^(r). Where a law of one signal does the
+same (a square, a cube, a spring, a drift), that law names it.
 
 **Source.** R. Tóth, *Modeling and Identification of Linear Parameter-Varying Systems*, Springer
 2010; O. Reynolds, Phil. Trans. R. Soc. 177 (1886) 157 (viscosity); S. Arrhenius, Z. phys. Chem. 4
@@ -66,6 +67,7 @@ _SETTINGS = DependenceSettings()
 
 _ABSOLUTE_ZERO = {"K": 0.0, "°C": -273.15}  # in units of temperatures
 _FORMS = ("exponential", "Arrhenius", "linear", "power")  # the more, the less they bend upwards
+_SYMMETRIC = "even"
 
 
 @dataclass(frozen=True)
@@ -76,10 +78,10 @@ class ParameterDependence(AbstractParameterEffect):
         parameter: name of p, a declared parameter.
         acts_on: the output in whose equation it stands.
         signals: z, an output or an input of the plant; () for time.
-        center: z_0 [unit of z].
+        center: z_0 [unit of z]; 0 of an even law.
         reach: largest |z - z_0| in the records, which bounds a [unit of z].
         unit: of z; "" for one that is not known.
-        form_of_law: "exponential", "Arrhenius", "linear" or "power".
+        form_of_law: "exponential", "Arrhenius", "linear", "power" or "even".
 
     Raises:
         ValueError: another form, or one that z cannot have.
@@ -97,7 +99,7 @@ class ParameterDependence(AbstractParameterEffect):
     depends_on = "t"
 
     def __post_init__(self) -> None:
-        check_choice("form_of_law", self.form_of_law, _FORMS)
+        check_choice("form_of_law", self.form_of_law, (*_FORMS, _SYMMETRIC))
         rule = "must be one that its signal may have"
         check(self._may_be(self.form_of_law), "form_of_law", rule, self.form_of_law)
 
@@ -121,12 +123,17 @@ class ParameterDependence(AbstractParameterEffect):
     def shapes(self) -> tuple[Parameter, ...]:  # pyright: ignore[reportIncompatibleVariableOverride]
         """a."""
         name = f"{self.parameter}_{self.signals[0].words if self.signals else 'time'}"
-        largest = _SETTINGS.largest / self.reach
-        return (Parameter(name, quotient_unit("1", self.unit), -largest, largest),)
+        largest, unit = _SETTINGS.largest / self.reach, quotient_unit("1", self.unit)
+        if self.form_of_law == _SYMMETRIC:  # down to nothing at the end of the records
+            square = f"({self.unit})²" if set(self.unit) & set(" ·/") else f"{self.unit}²"
+            unit = quotient_unit("1", square) if self.unit else ""
+            return (Parameter(name, unit, -1.0 / self.reach**2, largest / self.reach),)
+        return (Parameter(name, unit, -largest, largest),)
 
     @property
     def kind(self) -> str:
-        return f"{self.name} {self.parameter} {self.signal}"
+        law = f" {_SYMMETRIC}" if self.form_of_law == _SYMMETRIC else ""
+        return f"{self.name} {self.parameter} {self.signal}{law}"
 
     @property
     def form(self) -> str:
@@ -136,7 +143,9 @@ class ParameterDependence(AbstractParameterEffect):
 
     @property
     def forms(self) -> "tuple[ParameterDependence, ...]":
-        """The dependence in each form that its signal may have."""
+        """The dependence in each form that its signal may have; of an even one there is one."""
+        if self.form_of_law == _SYMMETRIC:
+            return (self,)
         return tuple(replace(self, form_of_law=law) for law in _FORMS if self._may_be(law))
 
     def next_form(self) -> "ParameterDependence | None":
@@ -145,6 +154,8 @@ class ParameterDependence(AbstractParameterEffect):
 
     def _may_be(self, law: str) -> bool:
         absolute = self.unit in _ABSOLUTE_ZERO
+        if law == _SYMMETRIC:
+            return self.center == 0.0 and bool(self.signals)
         if law == "Arrhenius":
             return absolute and self.center - self.reach > _ABSOLUTE_ZERO[self.unit]
         return law != "power" or (not absolute and self.center > self.reach)
@@ -170,7 +181,8 @@ class ParameterDependence(AbstractParameterEffect):
         )
 
     def grid(self, seen: Seen) -> Grid:
-        return np.array(_SETTINGS.steps)[:, None] / self.reach
+        steps = np.array(_SETTINGS.steps)[:, None] / self.reach
+        return steps / self.reach if self.form_of_law == _SYMMETRIC else steps
 
     def law(self, value: float) -> str:
         """The law with its number: ``d·exp(-0.02·(temperature - 42.5)), which halves over 35 °C``.
@@ -180,8 +192,9 @@ class ParameterDependence(AbstractParameterEffect):
         """
         sign, center = "+-"[self.center >= 0.0], abs(self.center)
         signal = f"({self.signal} {sign} {center:g})" if center else self.signal
-        if self.form_of_law == "linear":
-            return f"{self.parameter}·(1 {'-' if value < 0.0 else '+'} {abs(value):.4g}·{signal})"
+        if self.form_of_law in ("linear", _SYMMETRIC):
+            change = f"{abs(value):.4g}·{signal}{'²' if self.form_of_law == _SYMMETRIC else ''}"
+            return f"{self.parameter}·(1 {'-' if value < 0.0 else '+'} {change})"
         if self.form_of_law == "power":
             return f"{self.parameter}·({self.signal}/{center:g})^{value * self.center:.4g}"
         if self.form_of_law == "Arrhenius":
@@ -197,6 +210,8 @@ class ParameterDependence(AbstractParameterEffect):
 
     def factor(self, at: At, shape: Any) -> Any:
         z, slope, center = self._scheduling(at), shape[0], self.center
+        if self.form_of_law == _SYMMETRIC:
+            return 1.0 + slope * z**2
         if self.form_of_law == "linear":
             return 1.0 + slope * (z - center)
         if self.form_of_law == "power":
@@ -227,7 +242,8 @@ def parameter_dependences(
     """Dependences of the parameters of a plant on its outputs, its inputs and time.
 
     Those are left out that a law of one signal does as well, and parameters that do the same as
-    another one. They are of the exponential form; `ParameterDependence.forms` has the others.
+    another one. They are of the exponential form; `ParameterDependence.forms` has the others. Of a
+    signal that takes both signs also of the even one.
 
     Args:
         plant: a model, with parameter values.
@@ -251,14 +267,22 @@ def parameter_dependences(
     for signal in (*levels, *inputs, None):
         center, reach = _range(records, signal)
         if reach > _SETTINGS.rests * abs(center):
-            centered = _values(points, signal) - center
+            values = _values(points, signal)
             signals = () if signal is None else (signal,)
             unit = "s" if signal is None else plant.units.get(signal.name, "")
             dependences += [
                 ParameterDependence(plant.names[i], plant.outputs[j], signals, center, reach, unit)
-                for i, j in _informative(plant, outer, inner, centered, single)
+                for i, j in _informative(plant, outer, inner, values - center, single)
             ]
-    dependences.sort(key=lambda law: not law.has_foreign_signal(plant, used))  # stable
+            if signals and reach > 2.0 * abs(center):  # about as far to either side of zero
+                law = signals, 0.0, reach + abs(center), unit, _SYMMETRIC
+                dependences += [
+                    ParameterDependence(plant.names[i], plant.outputs[j], *law)
+                    for i, j in _informative(plant, outer, inner, values**2, single)
+                ]
+    dependences.sort(  # stable
+        key=lambda law: (not law.has_foreign_signal(plant, used), law.form_of_law == _SYMMETRIC)
+    )
     return tuple(dependences[:most])
 
 

@@ -106,6 +106,37 @@ def test_a_form_is_one_that_the_signal_may_have():
         dependence("cubic")
 
 
+def test_an_even_law_is_of_a_signal_that_takes_both_signs():
+    """The force factor of a coil that leaves its magnet: b (1 + a x²) in both equations."""
+    coil = eoi.plant_from_text(
+        {"i": "(u - r*i - b*v)/l", "x": "v", "v": "b*i - k*x - c*v"},
+        {"r": 4.0, "b": 5.0, "l": 0.01, "k": 900.0, "c": 3.0}, ["i", "x"], ["u"],
+        units={"x": "mm"},
+    )  # fmt: skip
+    draw = np.random.default_rng(0)
+    data = eoi.Record(H * np.arange(300), draw.normal(size=300), draw.normal(size=(300, 2)),
+                      output_names=("i", "x"), input_names="u")  # fmt: skip
+    laws = {law.form: law for law in effects.parameter_dependences(coil, [data], most=99)}
+    even = laws["b of x, even"]
+    assert even.forms == (even,)
+    placed = place(coil, even, 0)
+    bent = augmented(coil, [placed], dict.fromkeys(placed.names, -0.05))
+    assert bent.units[placed.names[0]] == "1/mm²"
+    assert even.law(-0.05) == "b·(1 - 0.05·x²)"
+    state = eoi.State(jnp.array([[2.0, 1.5], [0.0, 0.4]]), jnp.zeros(0))
+    rates = bent.derivative(jnp.zeros(()), state, jnp.array([9.0]), jnp.asarray(bent.theta))
+    force = 5.0 * (1.0 - 0.05 * 1.5**2)
+    wanted = [(9.0 - 8.0 - force * 0.4) / 0.01, force * 2.0 - 900.0 * 1.5 - 3.0 * 0.4]
+    np.testing.assert_allclose(rates, wanted, rtol=1e-6)
+    # k (1 + a x²) x is a cubic spring.
+    assert "k of x, even" not in laws
+    shifted = eoi.Record(data.time, data.inputs, data.outputs + np.array([0.0, 9.0]),
+                         output_names=("i", "x"), input_names="u")  # fmt: skip
+    assert "b of x, even" not in names(coil, shifted)
+    with pytest.raises(ValueError, match="one that its signal may have"):
+        dependence("even")
+
+
 def names(plant: eoi.Plant, *records: eoi.Record) -> set[str]:
     return {effect.form for effect in effects.parameter_dependences(plant, records)}
 
