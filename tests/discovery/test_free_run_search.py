@@ -790,6 +790,19 @@ def test_an_elimination_that_saturates_is_named_and_measured():
     assert found["saturating_loss_half"] == pytest.approx(0.5, rel=0.02)
 
 
+def test_an_uptake_that_saturates_is_found_where_a_constant_one_empties_the_simulated_basin():
+    """What is simulated falls below zero, and what is measured never does."""
+    plant = eoi.Plant(
+        lambda t, x, u, p: p.b * u - p.uptake, {"b": 0.9, "uptake": 0.3}, 1, ("dose",), ("drug",)
+    )
+    answer = eoi.discover(
+        plant, eliminated(1), validation=eliminated(2), effects=["saturating_loss"]
+    )
+    assert answer.effects == ("saturating_loss",)
+    assert answer.status.code == "complete"
+    assert answer.plant.parameters["saturating_loss_half"] == pytest.approx(0.5, rel=0.05)
+
+
 def switched(seed, count=950, period=0.02):
     """A motor whose bridge is open between its pulses, of the mean of its pulses; both ways."""
     random = np.random.default_rng(seed)

@@ -136,7 +136,15 @@ class Seen:
     @property
     def is_level(self) -> bool:
         """Whether `y` may be a level: by its kind, else because it takes only one sign."""
-        return self.kind == "level" if self.kind else not turns(self.y)
+        return self.kind == "level" if self.kind else self.keeps_sign
+
+    @property
+    def keeps_sign(self) -> bool:
+        """Whether `y` takes only one sign: what is simulated, or what is measured of it.
+
+        A model that lacks how a loss falls with the output empties what is never empty.
+        """
+        return not turns(self.y) or (len(self.measured_y) > 0 and not turns(self.measured_y))
 
 
 class AbstractEffect(ABC):

@@ -14,7 +14,6 @@ from eoi_jax.models.effects.effect import (
     Parameter,
     Seen,
     quantiles,
-    turns,
 )
 from eoi_jax.models.effects.friction import CoulombFriction
 from eoi_jax.models.plant import Plant
@@ -45,7 +44,7 @@ class Leak(AbstractTerm):
     def shows(self, seen: Seen) -> bool:
         if seen.kind == "speed":
             return False  # it is viscous friction, whatever the signs
-        return not seen.measured or not turns(seen.y)
+        return not seen.measured or seen.keeps_sign
 
     def term(self, at: At, gain: Any, shape: Any) -> Any:
         return -gain[0] * at.y
@@ -127,7 +126,7 @@ class PowerLoss(AbstractTerm):
         return plant.degrees[output] == 1 and kind != "current"
 
     def shows(self, seen: Seen) -> bool:
-        return not turns(seen.y)
+        return seen.keeps_sign
 
     def limit(self, kind: str = "") -> CoulombFriction | None:
         """Of a speed dry friction, where the exponent goes to zero."""
@@ -165,7 +164,7 @@ class SaturatingLoss(AbstractTerm):
         return plant.degrees[output] == 1 and kind in ("", "concentration", "flow")
 
     def shows(self, seen: Seen) -> bool:
-        return not turns(seen.y)  # of both signs it is friction
+        return seen.keeps_sign  # of both signs it is friction
 
     def grid(self, seen: Seen) -> Grid:
         return np.nanmedian(np.abs(seen.y)) * np.array([[0.1], [0.3], [1.0], [3.0]])

@@ -618,3 +618,12 @@ def test_what_a_speed_loses_in_proportion_is_friction_and_no_leak():
     assert friction.shows(speed)
     assert not leak.shows(speed)
     assert leak.shows(replace(seen, kind="temperature"))
+
+
+def test_losses_go_by_the_sign_that_is_measured_where_the_simulation_of_a_wrong_model_turns():
+    simulated, measured = np.linspace(-3.0, 9.0, 50), np.linspace(0.5, 9.0, 50)
+    seen = Seen(simulated, simulated, simulated, True, 1e-4, 40.0, 5e-3, 10.0, np.array([1.0]))
+    for law in (effects.SaturatingLoss(), effects.PowerLoss(), effects.Leak(), effects.Overflow()):
+        assert not law.shows(seen)
+        assert law.shows(replace(seen, measured_y=measured))
+        assert not law.shows(replace(seen, measured_y=simulated))
