@@ -31,12 +31,13 @@ from eoi_jax.data.record_notes import record_notes
 from eoi_jax.data.resampling import Real
 from eoi_jax.discovery.additions import fit_notes
 from eoi_jax.discovery.curves import misses_a_law, with_curves
-from eoi_jax.discovery.doubts import leaves_more, leaves_open, misses_widely
+from eoi_jax.discovery.doubts import leaves_more, leaves_open, may_be_rate, misses_widely
 from eoi_jax.discovery.hold_choice import Searched, with_best_hold, with_held_inputs
 from eoi_jax.discovery.in_free_runs import (
     unless_refined_is_better,
     with_free_runs,
     with_further_effects,
+    with_rate_in_place,
 )
 from eoi_jax.discovery.in_injection import (
     STAGES,
@@ -70,6 +71,7 @@ from eoi_jax.estimation.lowpass import LowPass
 from eoi_jax.estimation.preparation import PreparedRecords, prepare_records
 from eoi_jax.models.check_records import check_records, unit_notes
 from eoi_jax.models.effects import (
+    InputRate,
     ParameterDependence,
     couplings,
     input_actions,
@@ -257,6 +259,12 @@ class _Search:
             discovery = with_free_runs(
                 discovery, records, held_out, effects, searched.partial, self.lowpass, self.alpha
             )
+        elif may_be_rate(discovery):
+            self.progress("searching in free runs", 2 + _RULES.rounds, STAGES)
+            for rate in [effect for effect in effects if isinstance(effect, InputRate)]:
+                discovery = with_rate_in_place(
+                    discovery, records, held_out, rate, self.lowpass, self.alpha
+                )
         discovery = self._with_curves(replace(searched, discovery=discovery).with_lead, records)
         if not is_open and leaves_more(discovery):
             self.progress("searching in free runs", 2 + _RULES.rounds, STAGES)

@@ -11,10 +11,12 @@ from eoi_jax.discovery.result import Added, Discovery
 from eoi_jax.discovery.rules import RULES
 from eoi_jax.models.effects import (
     AbstractInternalEffect,
+    ActuatorLag,
     ConstantOffset,
     Curve,
     Drift,
     InputCurve,
+    InputDelay,
     InputQuadratic,
     Leak,
     Overflow,
@@ -129,6 +131,21 @@ def bends_factor(discovery: Discovery) -> bool:
     multiplied = dict(zip(plant.inputs, np.any(product_inputs(plant), axis=0), strict=True))
     bent = [item for item in discovery.added if isinstance(item.effect, InputQuadratic)]
     return any(bool(multiplied.get(item.output, False)) for item in bent)
+
+
+def may_be_rate(discovery: Discovery) -> bool:
+    """Whether a delay or a lag of an input leaves more than noise in free runs of each length.
+
+    A response to the rate of the input is the same to first order: the level of a drum that swells
+    before it falls. Of it the injection, which does not try it, leaves little.
+    """
+    if discovery.in_sample or discovery.status.code != "complete":
+        return False
+    runs = [run for run in (discovery.after, discovery.windows_after) if run is not None]
+    exceeds = (np.any((run.rmse > _RULES.silent * sensor_noise(run)) & (run.nrmse > _RULES.small))
+               for run in runs)  # fmt: skip
+    is_late = any(isinstance(item.effect, ActuatorLag | InputDelay) for item in discovery.added)
+    return is_late and all(map(bool, exceeds))
 
 
 def _share_output(added: Sequence[Added], *kinds: type | UnionType) -> bool:

@@ -18,7 +18,7 @@ from eoi_jax.discovery.additions import (
 )
 from eoi_jax.discovery.confirm import beyond_noise
 from eoi_jax.discovery.diagnose import diagnose
-from eoi_jax.discovery.doubts import bends_factor, may_be_store, stands_in
+from eoi_jax.discovery.doubts import bends_factor, may_be_rate, may_be_store, stands_in
 from eoi_jax.discovery.expected_error import misses
 from eoi_jax.discovery.free_run_candidates import Model
 from eoi_jax.discovery.free_run_evidence import (
@@ -43,10 +43,13 @@ from eoi_jax.estimation.holdout import resting_outputs
 from eoi_jax.estimation.identify import Identification
 from eoi_jax.estimation.lowpass import LowPass
 from eoi_jax.estimation.preparation import prepare_records
-from eoi_jax.models.augmented import Placed, added_effects
+from eoi_jax.models.augmented import Placed, added_effects, augmented, place
 from eoi_jax.models.effects import (
     PRODUCTS,
+    ActuatorLag,
+    InputDelay,
     InputProduct,
+    InputRate,
     Product,
 )
 from eoi_jax.models.effects.effect import AbstractEffect
@@ -87,11 +90,52 @@ def with_free_runs(
     if answer is None:
         return discovery
     justified = rival is not None and not stands_in(discovery.added)
-    doubted = justified and (may_be_store(discovery.added) or bends_factor(discovery))
+    is_store = may_be_store(discovery.added)
+    doubted = justified and (is_store or bends_factor(discovery) or may_be_rate(discovery))
     if doubted and not surpasses(answer, discovery.plant, placed_effects(discovery)):
         return discovery
     outcome = answered(discovery, answer, effects, lowpass)
     return discovery if justified and contradicts_injection(outcome, discovery) else outcome
+
+
+def with_rate_in_place(
+    discovery: Discovery,
+    records: tuple[Record, ...],
+    held_out: tuple[Record, ...],
+    rate: InputRate,
+    lowpass: LowPass | None,
+    alpha: float,
+) -> Discovery:
+    """The discovery, with a response to the rate of an input where that predicts better than a lag.
+
+    Or than a delay, or both: what is late by as much to first order is tried in their place.
+
+    Args:
+        discovery: the answer so far, which explains the injection with a delay or a lag.
+        records: to fit, as given.
+        held_out: that judge, as given.
+        rate: to try.
+        lowpass: F of the fits; None: chosen from the records.
+        alpha: level of significance of the score test.
+    """
+    declared, values = discovery.declared.nominal, discovery.plant.parameters
+    plant = declared.with_parameters({name: values[name] for name in declared.names})
+    placed: list[Placed] = []
+    for item in placed_effects(discovery):
+        if not isinstance(item.effect, ActuatorLag | InputDelay):
+            placed.append(item)
+            continue
+        (late,) = (values[name] for name in item.names)
+        law = place(plant, rate, item.channel)
+        if law not in placed:
+            placed.append(law)
+            values |= dict.fromkeys(law.names, 0.0)
+        lead, lag = law.names
+        values[lead] -= late
+        values[lag] += late if isinstance(item.effect, ActuatorLag) else 0.5 * late  # H. Padé
+    model = augmented(plant, placed, values), tuple(placed)
+    effects = rate, *(item.effect for item in placed if item.effect != rate)
+    return with_free_runs(discovery, records, held_out, effects, [model], lowpass, alpha)
 
 
 def contradicts_injection(outcome: Discovery, justified: Discovery) -> bool:
