@@ -4,7 +4,8 @@ An effect that contains a simpler one must improve the free runs, not only the r
 residual of a few samples around rest distinguishes Stribeck friction from dry friction of one
 level: a spike narrower than the motion in one sample fits the error of the smoothed states there.
 A free run has no smoothed states, so it shows whether the wider law improves the model.
-Asymmetric friction, read as a level and an offset, contains the level alone.
+Asymmetric friction, read as a level and an offset, contains the level alone; so it does where free
+runs came to it, and its two levels do not differ.
 
 So it is with laws that end in simpler ones: the quadratic characteristic of an actuator, whose
 linear part is lost, in the square of its input.
@@ -104,7 +105,7 @@ def simpler(
 
 
 def plainer(plant: Plant, wide: Placed, library: Sequence[AbstractEffect]) -> Iterator[Placed]:
-    """Laws in which an effect ends, or of which it contains one alone, at its place.
+    """Laws in which an effect ends, or the first one that it contains, at its place.
 
     Args:
         plant: that has the channels.
@@ -115,7 +116,7 @@ def plainer(plant: Plant, wide: Placed, library: Sequence[AbstractEffect]) -> It
     if (law := limit_of(plant, wide)) is not None and len(law.names) < len(wide.names):
         yield law
     for effect in library:
-        if isinstance(effect, AbstractTerm) and wide.effect.contains == (effect.name,):
+        if isinstance(effect, AbstractTerm) and wide.effect.contains[:1] == (effect.name,):
             yield place(plant, effect, *location)
 
 

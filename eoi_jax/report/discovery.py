@@ -15,7 +15,9 @@ from eoi_jax.models.effects import (
     INPUT_EFFECTS,
     AbstractInternalEffect,
     Curve,
+    FreePlay,
     InputCurve,
+    LinearStiffness,
     ParameterDependence,
 )
 from eoi_jax.models.effects.effect import labelled
@@ -26,6 +28,7 @@ from eoi_jax.report.tables import columns, parameter_table, quantity, with_error
 from eoi_jax.simulation.validate import Validation
 from eoi_jax.uncertainty.uncertainty import uncertainty
 
+_STOPS = "a spring that acts beyond a gap only, as stops at both ends do"
 _FORCES = ("N", "N m", "Nm", "N·m")
 _CLIPPED = f"First look at the notes: an output stays at {AT_END}, which may be all there is."
 _DRIFT = " (over {} the free run drifts)"
@@ -148,10 +151,29 @@ def texts(discovery: Discovery) -> Texts:
 def _added_phrases(discovery: Discovery) -> tuple[str, ...]:
     if discovery.texts is not None:
         return discovery.texts.added
-    ordered = sorted(discovery.added, key=lambda added: added.is_doubtful)
+    ordered = sorted(_with_stops(discovery.added), key=lambda added: added.is_doubtful)
     return tuple(
         f"{possibly(added, phrase(discovery, added))}{_alternatives(added)}" for added in ordered
     )
+
+
+def _with_stops(added: Sequence[Added]) -> list[Added]:
+    """Effects as they are told: a spring that a gap takes away again goes with the gap.
+
+    Both together do nothing inside of it, and hold beyond: stops at both ends, or a spring with
+    free play. Alone such a spring would seem to act everywhere.
+    """
+    told = list(added)
+    for spring in [item for item in added if isinstance(item.effect, LinearStiffness)]:
+        for play in [item for item in added if isinstance(item.effect, FreePlay)]:
+            pair = spring, play
+            first, second = (next(iter(item.parameters.values())) for item in pair)
+            errors = [next(iter(item.standard_errors.values())) for item in pair]
+            is_taken = abs(first - second) <= np.linalg.norm(errors)
+            if is_taken and spring.position == play.position:
+                told.remove(spring)
+                told[told.index(play)] = replace(play, sentence=_STOPS)
+    return told
 
 
 def possibly(added: Added, text: str) -> str:

@@ -1001,3 +1001,27 @@ def test_a_model_with_more_states_than_samples_tell_is_not_tried():
     )
     assert over_both(wide, (), (record,), judge) == []
     assert len(over_both(PLATE, (), (record,), judge)) == 1
+
+
+@pytest.mark.parametrize(("backward", "name"), [(0.6, "coulomb"), (0.3, "asymmetric")])
+def test_friction_whose_two_levels_agree_is_told_as_one_level(backward, name):
+    """Of a cart that is driven both ways, and held nowhere."""
+    plant = eoi.Plant(lambda t, x, u, p: p.k * u - p.d * x.y[1], {"k": 1.0, "d": 0.5}, 2)
+
+    def measured(seed):
+        random, time = np.random.default_rng(seed), 0.02 * np.arange(600)
+        u = np.repeat(random.uniform(-3.0, 3.0, 20), 30)
+        friction = place(plant, effects.AsymmetricFriction(), 0)
+        levels = dict(zip(friction.names, (0.6, backward), strict=True))
+        run = eoi.simulate(augmented(plant, [friction], levels), time, u, hold="zero").outputs
+        return eoi.Record(time, u, run + 1e-3 * random.standard_normal(run.shape), hold="zero")
+
+    judge = Judge.of((measured(2),), plant)
+    assert judge is not None
+    search = Search.begun([plant], (measured(1),), judge)
+    assert search is not None
+    friction = place(plant, effects.AsymmetricFriction(), 0)
+    wide = search.with_only([friction], search.base)
+    assert wide is not None
+    (law,) = search.narrowed(wide, effects.standard()).placed
+    assert law.effect.name == f"{name}_friction"

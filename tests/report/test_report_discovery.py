@@ -249,6 +249,24 @@ def test_an_effect_that_is_less_probable_than_not_is_told_as_possible(found, sto
     assert told.effects == found.effects
 
 
+@pytest.mark.parametrize(("stiffness", "merged"), [(6100.0, True), (9000.0, False)])
+def test_a_spring_that_a_gap_takes_away_again_is_told_as_stops_at_both_ends(
+    found, stiffness, merged
+):
+    def item(effect, errors, **values):
+        errors = dict(zip(values, errors, strict=True))
+        return Added(effect, "position", values, errors, effect.sentence)
+
+    springs = (
+        item(effects.LinearStiffness(), (400.0,), linear_stiffness=6000.0),
+        item(effects.FreePlay(), (400.0, 0.003), free_play_stiffness=stiffness, free_play_gap=0.25),
+    )
+    line = answer(dataclasses.replace(found, added=springs))
+    assert line.startswith("The model lacks a linear spring") is not merged
+    wanted = "The model lacks a spring that acts beyond a gap only, as stops at both ends do (stiff"
+    assert line.startswith(wanted) is merged
+
+
 def test_candidates_of_one_name_are_told_apart(found):
     stops = [
         Evidence("end_stop", "position", {}, 0.1, 1.0, "", form=stop.form)
