@@ -458,7 +458,9 @@ def count_of(records: tuple[Record, ...]) -> int:
 
 
 def _reach(placed: Placed, records: tuple[Record, ...]) -> float:
-    """Difference of the largest and smallest value of the output that an effect acts on."""
+    """Largest less smallest value of the output that an effect acts on; of the time if of that."""
+    if placed.effect.depends_on == "t":
+        return max(float(record.time[-1] - record.time[0]) for record in records)
     outputs = np.concatenate([record.known_outputs for record in records])
     signal = outputs[:, placed.output]
     if placed.against is not None:

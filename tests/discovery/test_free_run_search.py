@@ -1025,3 +1025,24 @@ def test_friction_whose_two_levels_agree_is_told_as_one_level(backward, name):
     assert wide is not None
     (law,) = search.narrowed(wide, effects.standard()).placed
     assert law.effect.name == f"{name}_friction"
+
+
+def test_a_lead_longer_than_the_records_has_no_size():
+    """The input itself is lost beside its rate, and the gain of the model with it."""
+    plant = eoi.Plant(
+        lambda t, x, u, p: p.b * u - p.k * x.y[0], {"b": 0.9, "k": 0.4}, 1, ("dose",), ("drug",)
+    )
+    record = eliminated(1)
+    judge = Judge.of((record,), plant)
+    assert judge is not None
+    search = Search.begun([plant], (record,), judge)
+    assert search is not None
+    rate = place(plant, effects.InputRate(), 0)
+    lead, lag = rate.names
+    start = augmented(plant, [rate], {lead: 1.0, lag: 2.0})
+    fit = refine_once(start, (record,), None)
+    for factor, unknown in ((0.9, []), (1.1, [rate])):
+        values = fit.parameters | {lead: factor * float(record.time[-1]), lag: 2.0}
+        sized = replace(fit, parameters=values, standard_errors=dict.fromkeys(values, 0.1))
+        model = Judged(sized, (rate,), judge.runs(fit.plant))
+        assert search._of_unknown_size(model) == unknown

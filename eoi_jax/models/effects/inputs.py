@@ -1,5 +1,6 @@
 """Effects between the recorded input and the plant."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -339,6 +340,13 @@ class InputRate(AbstractActuator):
         leads = np.array([-2.0, -1.0, -0.5, 0.5, 1.0, 4.0])  # over the lag
         shares, lags = np.meshgrid(leads, lags, indexing="ij")
         return np.stack([shares * lags, lags], axis=-1).reshape(-1, 2)
+
+    def is_seen(self, values: Sequence[float], reach: float) -> bool:
+        """Whether no time is longer than the records: beside such a lead the input itself is lost.
+
+        Then the gain of the model runs off to zero, and only its product with the lead is told.
+        """
+        return max(map(abs, values)) <= reach
 
     def along(self, time: Any, u: Any, shape: Any) -> Any:
         lag = _smoothing(shape[0], shape[1], time[1] - time[0], jnp)
