@@ -90,17 +90,17 @@ def shown_by_all(answer: FreeRunAnswer) -> bool:
     return bool(best.error < base.error and fall > -np.log(RULES.answer.confirmed))
 
 
-def without_stand_ins(answer: FreeRunAnswer, declared: Plant) -> Judged:
-    """The final model without effects of the explanation whose size it does not tell any more.
+def without_stand_ins(answer: FreeRunAnswer, model: Judged, declared: Plant) -> Judged:
+    """A model without effects of the explanation whose size it does not tell any more.
 
-    They stood in for what free runs found beside them. All stay where the records that judge are
-    predicted worse without them.
+    They stood in for what free runs found beside them, or for parameters that the passes biased.
+    All stay where the records that judge are predicted worse without them.
 
     Args:
-        answer: with effects beside those of its base.
+        answer: what the search came to.
+        model: its base or its best one.
         declared: without effects.
     """
-    model = answer.best
     fit = model.refinement
     stay = tuple(at for at in model.placed if at not in answer.base.placed or has_size(at, fit))
     if len(stay) in (0, len(model.placed)):

@@ -250,8 +250,7 @@ def with_further_effects(
         model, further = answer.base, ()
         if not answer.better_base:
             return replace(discovery, notes=(*discovery.notes, *hints))
-    else:
-        model = without_stand_ins(answer, discovery.declared.nominal)
+    model = without_stand_ins(answer, model, discovery.declared.nominal)
     fit = _fit_of(discovery, answer, model, lowpass)
     long_runs, short_runs = discovery.before, discovery.windows_after
     assert long_runs is not None
@@ -481,8 +480,8 @@ _FURTHER = (
     "records have {:.3g} of those of the answer without it, refined"
 )
 _STOOD_IN = (
-    "left out: {}, part of what explained the injection; beside what was found in free runs the "
-    "size is not told, and the held-out records are predicted as well"
+    "left out: {}, part of what explained the injection; in the model that is refined in free runs "
+    "its size is not told, and the held-out records are predicted as well without it"
 )
 _BETTER = (
     "the answer was refined by the error of its free runs: on the held-out records they are "

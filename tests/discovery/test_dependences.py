@@ -155,3 +155,50 @@ def test_each_pair_of_a_parameter_and_a_signal_counts_as_tried(monkeypatch):
     pairs = eoi.effects.parameter_dependences(MOTOR, [record])
     eoi.discover(MOTOR, record, effects=["parameter_dependence", "coulomb_friction"])
     assert counts[0] == len(pairs) + 1
+
+
+COIL = eoi.plant_from_text(
+    {"i": "(u - r*i - b*v/1000)/l", "x": "v", "v": "1000*(b*i - k*x/1000 - c*v/1000)/0.0145"},
+    {"r": 5.0, "l": 5e-4, "b": 6.0, "c": 1.0, "k": 2000.0}, ["i", "x"], ["u"],
+    units={"u": "V", "i": "A", "x": "mm"},
+)  # fmt: skip
+
+
+def woofer(seed: int, samples: int = 2500, period: float = 1e-4) -> eoi.Record:
+    """A loudspeaker whose force factor falls with the square of its stroke, by Runge and Kutta."""
+    draw, x, rows = np.random.default_rng(seed), np.zeros(3), []
+    time = period * np.arange(samples)
+    tones = np.exp(2j * np.pi * (np.outer(np.arange(20.0, 400.0, 20.0), time)
+                                 + draw.uniform(size=(19, 1)))).real  # fmt: skip
+    voltage = np.sum(tones / np.sqrt(np.arange(1.0, 20.0))[:, None], axis=0) * 4.0
+
+    def rate(x, u):
+        force = 6.2 * (1.0 - 0.03 * x[1] ** 2)
+        current = (u - 5.6 * x[0] - force * x[2] / 1000.0) / 6e-4
+        push = 1000.0 * force * x[0] - 2300.0 * x[1] - 1.3 * x[2]
+        return np.array([current, x[2], push / 0.0145])
+
+    h = period / 4.0
+    for u in voltage:
+        rows.append(x[:2])
+        for _ in range(4):
+            first = rate(x, u)
+            second = rate(x + 0.5 * h * first, u)
+            third = rate(x + 0.5 * h * second, u)
+            last = rate(x + h * third, u)
+            x = x + h / 6.0 * (first + 2.0 * second + 2.0 * third + last)
+    rows = np.array(rows)
+    rows = rows + 1e-3 * np.std(rows, axis=0) * draw.standard_normal(rows.shape)
+    return eoi.Record(time, voltage[:, None], rows, hold="zero", input_names="u",
+                      output_names=("i", "x"))  # fmt: skip
+
+
+@pytest.mark.slow
+def test_a_force_factor_that_falls_to_both_sides_is_found():
+    found = eoi.discover(COIL, woofer(1), validation=woofer(2))
+    assert names(found) == ["parameter_dependence (b of x, even)"]
+    values = found.plant.parameters
+    assert values["parameter_dependence_b_x_i"] == pytest.approx(-0.03, rel=0.02)
+    wanted = {"r": 5.6, "l": 6e-4, "b": 6.2, "c": 1.3, "k": 2300.0}
+    for name, value in wanted.items():
+        assert values[name] == pytest.approx(value, rel=0.01)

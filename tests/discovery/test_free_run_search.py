@@ -982,7 +982,7 @@ def test_of_an_explanation_goes_what_free_runs_do_not_tell_beside_their_effects(
         models.append(Judged(fit, placed, judge.runs(fit.plant)))
     base, model = models
     answer = FreeRunAnswer(base, model, (blown(1, offset),), judge, True, 1.0)
-    left = without_stand_ins(answer, FAN)
+    left = without_stand_ins(answer, answer.best, FAN)
     assert left.placed == ((level, square) if stays else (square,))
     if not stays:
         assert left.refinement.parameters == pytest.approx({"b": 3.0, "a": 0.8}, rel=0.03)
