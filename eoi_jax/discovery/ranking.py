@@ -28,7 +28,8 @@ def ranking(
     """
     first = rounds[0]
     scores, empty = first.ranked.scores, first.ranked.scores.fit([])
-    power = float(np.sum(empty.residual**2))
+    weight = scores.base.output_weight
+    power = float(np.sum(weight * empty.residual**2))
     rows: dict[Placed, Evidence] = {}
     single_fits = {fit.atoms[0].placed: fit for fit in scores.extended(empty)}
     refined = {next(iter(fit.keys)): fit for fit in first.ranked.sets if len(fit.atoms) == 1}
@@ -50,7 +51,7 @@ def ranking(
         else:
             parameters = dict(zip(placed.names, fit.values[placed], strict=True))
             score = gains.get(placed, empty.cost - fit.cost - scores.penalty(fit.atoms))
-            share = 1.0 - float(np.sum(fit.residual**2)) / power
+            share = 1.0 - float(np.sum(weight * fit.residual**2)) / power
             refusal = refusal or (None if fit.physical else WRONG_SIGN)
         name, channel = placed.effect.name, channels[placed.channel]
         rows[placed] = Evidence(

@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
@@ -53,18 +54,42 @@ class Base:
     room: tuple[Free, Free] | None = None
 
     def signal_power(self, residual: Rows) -> float:
-        """Σ |R|² over modes, each weighted by its signal-to-noise ratio (Wiener)."""
-        return float(np.sum(self._signal * residual**2))
+        """Σ |R|² over modes, each weighted by its signal-to-noise ratio (Wiener) and its output."""
+        return float(np.sum(self.output_weight * self._signal * residual**2))
 
     @property
     def noise_power(self) -> float:
         """Contribution of measurement noise to `signal_power`."""
-        return float(np.sum(self._signal * self.noise))
+        return float(np.sum(self.output_weight * self._signal * self.noise))
 
     @property
     def output_power(self) -> float:
         """`signal_power` of y^(r) itself."""
         return self.signal_power(np.sqrt(self.local))
+
+    @cached_property
+    def output_weight(self) -> Rows:
+        """Weight (1 - N/P)²/P of the output of each mode: powers then add, whatever their units.
+
+        P and N are the powers of y^(r) and of its noise in an output, with the weights of its
+        modes. A residual counts in proportion to its own output, and one that is noise hardly.
+        """
+        return self._per_output(
+            _relative_weight, self._signal * self.local, self._signal * self.noise
+        )
+
+    @cached_property
+    def output_level(self) -> Rows:
+        """Mean power of y^(r) in the output of each mode: the S of a first fit, flat in each."""
+        return self._per_output(_level, self.local)
+
+    def _per_output(self, value: Callable[..., float], *powers: Rows) -> Rows:
+        """A number of the modes of each output, at all of them."""
+        result = np.zeros_like(self.local)
+        for j in np.unique(self.output):
+            modes = self.output == j
+            result[modes] = value(*(power[modes] for power in powers))
+        return result
 
     @property
     def _signal(self) -> Rows:
@@ -384,6 +409,17 @@ def settled(model: Plant, stretches: Sequence[ModalRecord], power: Rows, start: 
         max_nfev=_EVALUATIONS,
     )
     return moved(answer.x)
+
+
+def _relative_weight(signal: Rows, noise: Rows) -> float:
+    """(1 - N/P)²/P of an output; 0 without a signal."""
+    power = float(np.sum(signal))
+    return (1.0 - float(np.sum(noise)) / power) ** 2 / power if power > 0.0 else 0.0
+
+
+def _level(local: Rows) -> float:
+    """Mean power of an output; 1 of one at rest, which has no scale."""
+    return float(np.mean(local)) or 1.0
 
 
 def _split(fit: Fit, placed: Placed) -> tuple[CandidateColumns, list[CandidateColumns]]:

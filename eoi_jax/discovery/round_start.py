@@ -75,7 +75,7 @@ class RoundStart:
             if placed.site not in present
             for atom in self.columns(placed, np.zeros((1, 0)))
         ]
-        residual = fitted(self.base, constants, np.ones_like(self.base.target)).residual
+        residual = fitted(self.base, constants, self.base.output_level).residual
         return self.base.signal_power(residual)
 
     def has_weights_of(self, rival: "RoundStart") -> bool:
@@ -171,7 +171,7 @@ class RoundStart:
     def _residual_and_power(self) -> tuple[Float[np.ndarray, " rows"], Float[np.ndarray, " rows"]]:
         """The residual of the declared model, and its power S."""
         base = self.base
-        residual = fitted(base, [], np.ones_like(base.target)).residual
+        residual = fitted(base, [], base.output_level).residual
         return residual, fitted_power(residual, base.noise, base.local, base.output)
 
     def _delay_parameter(self, placed: Placed) -> str | None:

@@ -257,7 +257,7 @@ def search_sets(problem: SearchProblem, make: Make) -> RankedSets:
         problem: what is searched.
         make: makes the atoms of an effect at shapes (grid, shapes), for local refinement.
     """
-    scores = problem.scores(fitted(problem.base, [], np.ones_like(problem.base.target)).residual)
+    scores = problem.scores(fitted(problem.base, [], problem.base.output_level).residual)
     chosen, fits, shaped = scores.fit([]), [], {}
     for _ in range(_RULES.rounds):
         fits, shaped = _evaluated(scores, chosen, shaped, make)

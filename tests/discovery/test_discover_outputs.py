@@ -144,6 +144,51 @@ def test_an_offset_of_an_accelerometer_is_found(plant, outputs, name):
     np.testing.assert_allclose(found.plant.parameters[name], 0.3, rtol=0.02)
 
 
+def position_in(unit: float) -> Plant:
+    """Position, of so many units in a metre, and acceleration of a mass on a base that moves."""
+
+    def both(t, x, u, p):
+        acceleration = (-p.b * x.y[1, 0] - p.k * (x.y[0, 0] - unit * u[0])) / p.m
+        return jnp.stack([acceleration, acceleration / unit])
+
+    return Plant(
+        both, {"m": 3.0, "b": 3.0, "k": 80.0}, (2, 0), inputs=("base",), outputs=("x", "acc"),
+        fixed=("m",),
+    )  # fmt: skip
+
+
+@pytest.mark.slow
+def test_an_answer_does_not_depend_on_the_unit_of_another_output():
+    """A bias of the accelerometer, beside a position in metres and in micrometres."""
+    answers = []
+    for unit in (1.0, 1e6):
+        records = []
+        for seed in (1, 2, 3):
+            record = shaken(seed, 0.05, ("x", "acc"))
+            noise = np.random.default_rng(seed).standard_normal(record.outputs.shape)
+            measured = (record.outputs + noise * [2e-5, 0.0] + [0.0, 0.3]) * [unit, 1.0]
+            records.append(
+                Record(
+                    record.time,
+                    record.inputs,
+                    measured,
+                    record.name,
+                    hold="linear",
+                    input_names=("base",),
+                    output_names=("x", "acc"),
+                )
+            )
+        answers.append(discover(position_in(unit), records[:2], records[2]))
+    metres, micrometres = answers
+    assert metres.effects == micrometres.effects == ("constant_offset",)
+    assert metres.status.code == micrometres.status.code == "complete"
+    assert micrometres.explained == pytest.approx(metres.explained, rel=1e-4)
+    shares = [
+        {(row.effect, row.output): row.explained for row in answer.ranking} for answer in answers
+    ]
+    assert shares[1] == pytest.approx(shares[0], abs=1e-4)
+
+
 @pytest.mark.slow
 def test_a_pair_that_the_cell_lacks_is_found():
     """Open-circuit voltage and drop are declared, the relaxation of the RC pair is not."""

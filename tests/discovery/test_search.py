@@ -289,6 +289,54 @@ def test_family_needs_more_than_significance_beside_its_simplest_member():
     assert not found.material(family)
 
 
+def in_units(known: Base, unit: float) -> Base:
+    """The same modes, the second half of them an output in other units."""
+    output = np.arange(ROWS) // (ROWS // 2)
+    scale = np.where(output == 1, unit, 1.0)
+    return replace(
+        known, target=scale * known.target, columns=scale[:, None] * known.columns,
+        noise=scale**2 * known.noise, local=scale**2 * known.local, output=output,
+    )  # fmt: skip
+
+
+def test_the_answer_does_not_depend_on_the_unit_of_an_output():
+    every = columns(1, 8)
+    of_first = np.where(np.arange(ROWS) < ROWS // 2, every[:, 4], 0.0)
+    plain = base(0.3 * of_first, every[:, :2])
+    shares = []
+    for unit in (1.0, 1e6, 1e-6):
+        known = in_units(plain, unit)
+        scale = np.where(known.output == 1, unit, 1.0)
+        grid = [
+            atom(effect, scale * column)
+            for effect, column in [
+                (effects.CubicStiffness(), of_first),
+                (effects.ViscousFriction(), every[:, 5]),
+            ]
+        ]
+        scores, best = search(known, grid)
+        assert names(best) == {"cubic_stiffness"}
+        powers = known.signal_power(scores.fit([]).residual), known.signal_power(best.residual)
+        shares.append((powers[1] / powers[0], powers[0] / known.output_power))
+    np.testing.assert_allclose(shares, [shares[0]] * 3, rtol=1e-6)
+
+
+def test_an_output_that_is_noise_alone_counts_little_beside_another():
+    noise = np.random.default_rng(1).standard_normal(ROWS)
+    first = np.arange(ROWS) < ROWS // 2
+    known = in_units(base(np.zeros(ROWS), columns(1, 2)), 1.0)
+    known = replace(known, local=np.where(first, 4.0, local_power(NOISE * noise)))
+    of_noise = known.signal_power(np.where(first, 0.0, NOISE * noise))
+    assert of_noise < 0.2 * known.output_power  # Y of 25 modes scatters about N by 0.28
+
+
+def test_outputs_at_rest_have_no_power():
+    known = in_units(base(np.zeros(ROWS), columns(1, 2)), 1.0)
+    known = replace(known, noise=0.0 * known.noise, local=0.0 * known.local)
+    assert known.output_power == 0.0
+    np.testing.assert_array_equal(known.output_level, 1.0)
+
+
 def test_wrong_sign_is_refused():
     parts = columns(6, 3)
     grid = [atom(effects.CoulombFriction(), parts[:, 2])]
