@@ -27,6 +27,7 @@ from eoi_jax.data.column_names import (
     unit_of_name,
 )
 from eoi_jax.data.input_holds import STAIRCASE
+from eoi_jax.data.overflow import without_codes
 from eoi_jax.data.readers.delimited import first_word
 from eoi_jax.data.readers.limits import MAX_GIGABYTES
 from eoi_jax.data.readers.long_form import found_clock, mixed_tags
@@ -169,7 +170,8 @@ def inspect(
     path = Path(path)
     table, unstamped = stamped_rows(oldest_first(read_table(path, max_gigabytes, sheet)))
     samples = _samples(path, table)
-    numbers = _numbers(table, samples)
+    codes: list[str] = []
+    numbers = _numbers(table, samples, codes)
     named = {"time": None if time is None else [time], "input": inputs, "output": outputs}
     _check_named(named, numbers)
     clock = found_clock(table, numbers, time)
@@ -191,7 +193,7 @@ def inspect(
     advice = daylight_saving(numbers[clock.column]) if clock.column and local else []
     advice += mixed_tags(table, clock.column)
     advice += [f"`{at.name}` is no signal: {RATING}." for at in channels if at.why == RATING]
-    advice = (*unstamped, *advice, *_advice(channels, clock, samples))
+    advice = (*unstamped, *codes, *advice, *_advice(channels, clock, samples))
     return Inspection(
         path, samples, clock, tuple(channels), (*left_out, *table.objects.values()),
         (*table.notes, *_unit_notes(channels, table)), advice, numbers,
@@ -250,8 +252,14 @@ def _declared_period(table: Table, clock: Clock) -> Clock:
     return clock
 
 
-def _numbers(table: Table, samples: int) -> dict[str, Float[np.ndarray, " time"]]:
-    """The columns of numbers and dates that have `samples` rows, in float64."""
+def _numbers(table: Table, samples: int, codes: list[str]) -> dict[str, Float[np.ndarray, " time"]]:
+    """The columns of numbers and dates that have `samples` rows, in float64, shape (samples,).
+
+    Args:
+        table: the file.
+        samples: rows.
+        codes: to which sentences on codes of an overflow are added.
+    """
     numbers = {}
     for key, values in table.columns.items():
         if len(values) != samples:
@@ -259,7 +267,7 @@ def _numbers(table: Table, samples: int) -> dict[str, Float[np.ndarray, " time"]
         if values.dtype.kind in "Mm":
             numbers[key] = seconds_from_first(values)
         elif values.dtype.kind in "biuf":
-            numbers[key] = values.astype(np.float64, copy=False)
+            numbers[key] = without_codes(np.asarray(values, float)[:, None], (key,), codes)[:, 0]
     return numbers
 
 

@@ -48,6 +48,7 @@ from eoi_jax.data.input_holds import (
     shared,
 )
 from eoi_jax.data.noise import quanta
+from eoi_jax.data.overflow import without_codes
 from eoi_jax.data.resampling import (
     Real,
     acting_inputs,
@@ -181,6 +182,7 @@ class Record(Result):
         check_labels(u_names, y_names, dict(units or {}))
         notes: list[str] = []  # these also give warnings; the choice of a hold does not
         stamps, u, y = drop_repeats(stamps, u, y, notes)
+        u, y = without_codes(u, u_names, notes), without_codes(y, y_names, notes)
         u, reach = between_entries(stamps, u, u_names, hold, notes)
         good = scored_samples(u_names, y_names, u, y, mask_faults, notes)
         input_hold, hold_notes = declared_or_suggested(hold, u[good[0]], u_names)
