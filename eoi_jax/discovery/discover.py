@@ -55,6 +55,7 @@ from eoi_jax.discovery.remainder import (
     with_differences,
     with_differing_parameters,
     with_doubts,
+    with_poor_fit,
 )
 from eoi_jax.discovery.requested import names_with_place, notes_without_place, requested
 from eoi_jax.discovery.result import Discovery
@@ -222,7 +223,7 @@ class _Search:
             searched = with_best_hold(search.on, records, held_out, indices)
         discovery = search.in_free_runs(searched, records, held_out)
         discovery = with_held_inputs(discovery, search.answered, records, held_out)
-        discovery = partial_where_more_is_left(discovery)
+        discovery = with_poor_fit(partial_where_more_is_left(discovery))
         noted = with_differences(discovery, records)
         if noted.status is not discovery.status:
             return noted

@@ -17,6 +17,7 @@ from eoi_jax.data.windows import window_length
 from eoi_jax.discovery.acceptance import labels_of
 from eoi_jax.discovery.confirm import beyond_noise
 from eoi_jax.discovery.diagnose import diagnose
+from eoi_jax.discovery.doubts import telling_runs
 from eoi_jax.discovery.drift import drift_of_parameters
 from eoi_jax.discovery.judge import error_ratio
 from eoi_jax.discovery.own_offsets import OwnOffsets, with_own_offsets
@@ -75,6 +76,22 @@ def partial_where_more_is_left(discovery: Discovery) -> Discovery:
         return replace(discovery, notes=(*discovery.notes, *notes))
     left = f"{_MORE_LEFT}, hardly less than before" if unimproved else _MORE_LEFT
     return replace(discovery, status=Status("partial", f"{status.message}; {left}"))
+
+
+def with_poor_fit(discovery: Discovery) -> Discovery:
+    """An answer that nothing is missing, which says where its free runs predict hardly anything.
+
+    So it is of records that are noise, and of a sample far off, whose size is that of the noise.
+    """
+    runs = telling_runs(discovery)
+    if discovery.status.code != "nothing_missing" or runs is None:
+        return discovery
+    poor = np.flatnonzero(~(runs.nrmse <= RULES.questions.poor)).tolist()
+    if not poor:
+        return discovery
+    fits = " and ".join(f"{runs.outputs[j]} (fit {runs.fit[j]:.3g} %)" for j in poor)
+    message = f"{discovery.status.message}; {_POOR.format(fits)}"
+    return replace(discovery, status=Status("nothing_missing", message))
 
 
 def changes_in_time(discovery: Discovery) -> bool:
@@ -288,6 +305,10 @@ def _differ(fits: Sequence[Refinement], placed: Placed) -> bool:
     return bool(np.sum(((values - mean) / errors) ** 2) > _RULES.deviations**2 * len(fits))
 
 
+_POOR = (
+    "but free runs predict {} hardly better than a constant does, so that this says little: look "
+    "at the records for samples far off, and for motion beyond the noise"
+)
 _REFINE_HINT = ". `refine=True` looks for it in the free runs"
 _MORE_LEFT = "free runs on the held-out records miss by more than noise"
 _MORE_MISSING = ": something smaller than the added effects is missing, too"

@@ -350,6 +350,7 @@ class QuestionRules:
             justifies, from which on it does not take its place. Set with emps in view.
         useless: the same of a model that a constant is better than, whatever the noise. Set with
             indomethacin in view.
+        poor: the same of an answer that nothing is missing, from which on it says so.
         scored: share of the samples of whole runs that windows score, at least, to tell more.
         silent: error over the noise up to which a declared model lacks nothing that held-out
             records show, whatever the injection leaves. Set with circuits that are sampled at half
@@ -363,6 +364,7 @@ class QuestionRules:
     wide: float = 0.05
     contradicted: float = 2.0
     useless: float = 1.25
+    poor: float = 0.8
     silent: float = 1.2
     scored: float = 0.5
     own_share: float = 0.3

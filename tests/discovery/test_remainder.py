@@ -1,5 +1,6 @@
 """What an answer leaves: partial where free runs miss by more, and records that differ."""
 
+import re
 from dataclasses import replace
 
 import numpy as np
@@ -71,6 +72,25 @@ def test_an_offset_that_all_records_have_is_complete_and_no_difference():
     found = eoi.discover(PLANT, days[0], validation=days[1])
     assert found.status.code == "complete"
     assert not differences(found)
+
+
+@pytest.mark.slow
+def test_nothing_missing_says_where_free_runs_predict_hardly_anything():
+    """Three samples far off, side by side, look like noise of that size."""
+    fitted, held = warmed(20.0, 1), warmed(20.0, 2)
+    found = eoi.discover(PLANT, fitted, held, [QuadraticDrag()])
+    assert found.status.code == "nothing_missing"
+    assert "than a constant" not in found.status.message
+    outputs = held.outputs.copy()
+    outputs[300:303] = 1e15
+    spoilt = eoi.Record(held.time, held.inputs, outputs, "spoilt", hold="zero",
+                        input_names=held.input_names, output_names=held.output_names)  # fmt: skip
+    found = eoi.discover(PLANT, fitted, spoilt, [QuadraticDrag()])
+    assert found.status.code == "nothing_missing"
+    message = (
+        r"but free runs predict temperature \(fit -?[\d.e+-]+ %\) hardly better than a constant"
+    )
+    assert re.search(message, found.status.message)
 
 
 def test_offsets_that_no_record_tells_do_not_differ():
