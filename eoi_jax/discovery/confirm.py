@@ -59,7 +59,9 @@ def as_good(plain: FreeRuns, wide: FreeRuns) -> bool:
     )
 
 
-def beyond_noise(runs: Validation | None, conclusion: str = HIDDEN) -> list[str]:
+def beyond_noise(
+    runs: Validation | None, conclusion: str = HIDDEN, full_runs: Validation | None = None
+) -> list[str]:
     """A sentence for each output whose error in free runs, in windows, far exceeds its noise.
 
     The error of a correct model is the noise plus the effect of an initial state that is estimated
@@ -67,11 +69,25 @@ def beyond_noise(runs: Validation | None, conclusion: str = HIDDEN) -> list[str]
     where these score few samples. Where differences show motion, and the noise is known from above
     alone, there is less room between both.
 
+    A window starts from what all outputs show: one that is wrong spoils the windows of others,
+    which are told with it where their whole runs do not miss.
+
     Args:
         runs: free runs in windows, or whole ones of short records; None: no sentence.
         conclusion: end of the sentence.
+        full_runs: free runs of whole records; None: not asked.
     """
-    return [] if runs is None else excesses(runs, sensor_noise(runs), conclusion)
+    if runs is None:
+        return []
+    times = _times_expected(runs, sensor_noise(runs))
+    spoilt = np.zeros(times.shape, dtype=bool)
+    if full_runs is not None and runs.window is not None:
+        spoilt = (times > 0.0) & (_times_expected(full_runs, sensor_noise(full_runs)) == 0.0)
+    if np.all(spoilt[times > 0.0]):
+        return _sentences(runs, times, conclusion)
+    misses = [f"{runs.outputs[j]} by {times[j]:.2g} times" for j in np.flatnonzero(spoilt).tolist()]
+    beside = _SPOILT.format(" and ".join(misses)) if misses else ""
+    return _sentences(runs, np.where(spoilt, 0.0, times), beside + conclusion)
 
 
 def excesses(
@@ -79,24 +95,40 @@ def excesses(
 ) -> list[str]:
     """A sentence for each output whose error far exceeds what is expected of a right model.
 
-    The noise is read off differences, of which a third are independent, about: of few samples it
-    may come out small by chance.
-
     Args:
         runs: free runs, whole or in windows.
         expected: error of a right model [unit of y].
         conclusion: end of the sentence.
+
+    Returns:
+        The sentences; that of the output which misses by most times its noise comes first.
+    """
+    return _sentences(runs, _times_expected(runs, expected), conclusion)
+
+
+def _times_expected(
+    runs: Validation, expected: Float[np.ndarray, " ny"]
+) -> Float[np.ndarray, " ny"]:
+    """Error of each output over what is expected of a right model; 0 where it is not far more.
+
+    The noise is read off differences, of which a third are independent, about: of few samples it
+    may come out small by chance.
     """
     from scipy.special import fdtri  # only discovery needs it
 
     limits = np.where(shows_noise(runs), _RULES.noise, _RULES.bounded_noise)
     by_chance = np.sqrt(fdtri(max(runs.scored, 1), max(runs.scored / 3.0, 1.0), _RULES.by_chance))
-    limits = np.maximum(limits, by_chance)
+    exceeds = (expected > 0.0) & (runs.rmse > np.maximum(limits, by_chance) * expected)
+    return np.where(exceeds, runs.rmse, 0.0) / np.where(exceeds, expected, 1.0)
+
+
+def _sentences(runs: Validation, times: Float[np.ndarray, " ny"], conclusion: str) -> list[str]:
+    """A sentence for each output that misses by so many times its noise, the most first."""
     length = "" if runs.window is None else " in windows"
     return [
-        _EXCESS.format(name, length, error / sigma, conclusion)
-        for name, error, sigma, limit in zip(runs.outputs, runs.rmse, expected, limits, strict=True)
-        if sigma > 0 and error > limit * sigma
+        _EXCESS.format(runs.outputs[j], length, times[j], conclusion)
+        for j in np.argsort(-times, kind="stable").tolist()
+        if times[j] > 0.0
     ]
 
 
@@ -115,3 +147,4 @@ def _pairs(prior: FreeRuns, after: FreeRuns) -> list[tuple[Validation, Validatio
 
 
 _EXCESS = "free runs of {}{} miss by {:.2g} times the noise of its sensor{}"
+_SPOILT = " (and {} in windows alone, which start from what all outputs show)"

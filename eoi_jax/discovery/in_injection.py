@@ -177,7 +177,7 @@ def without_search(task: Task, progress: Progress) -> Discovery:
 
 def judged_by_free_runs(discovery: Discovery) -> Discovery:
     """Whether free runs alone show something that no effect explains."""
-    doubts = beyond_noise(discovery.windows_after)
+    doubts = beyond_noise(discovery.windows_after, full_runs=discovery.after)
     if discovery.status.code != "nothing_missing" or not doubts:
         return discovery
     return replace(discovery, status=Status("unexplained", f"{_UNRESOLVED}, and {doubts[0]}"))

@@ -48,7 +48,7 @@ def with_doubts(discovery: Discovery, refined: bool) -> Discovery:
     """
     if discovery.status.code != "nothing_missing":
         return discovery
-    doubts = beyond_noise(discovery.windows_after)
+    doubts = beyond_noise(discovery.windows_after, full_runs=discovery.after)
     if doubts and discovery.plant.has_algebraic:
         return replace(discovery, status=Status("unexplained", doubts[0]))
     suggestion = "" if refined else _REFINE_HINT
@@ -66,7 +66,7 @@ def partial_where_more_is_left(discovery: Discovery) -> Discovery:
     status, runs = discovery.status, discovery.windows_after or discovery.after
     if status.code != "complete" or not discovery.added or discovery.in_sample or runs is None:
         return discovery
-    excesses = beyond_noise(runs, _MORE_MISSING)
+    excesses = beyond_noise(runs, _MORE_MISSING, discovery.after)
     if not excesses:
         return discovery
     before = discovery.before if discovery.windows_after is None else discovery.windows_before

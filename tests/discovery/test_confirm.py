@@ -1,15 +1,18 @@
 """What free runs say where the injection is silent."""
 
 import importlib
+import re
 from dataclasses import replace
 
 import numpy as np
 import pytest
+from output_cases import mixed, shaken
 
 from eoi_jax import Plant, Record, discover, validate
 from eoi_jax._status import Status
 from eoi_jax.discovery import in_injection
 from eoi_jax.discovery.confirm import beyond_noise
+from eoi_jax.simulation.sensor_noise import sensor_noise
 from tests import problems
 
 H, NOISE = 5e-3, 2e-4
@@ -46,6 +49,30 @@ def test_free_runs_beyond_the_noise_are_told(records):
     (told,) = beyond_noise(validate(plant(220.0), records[0], window=1.0))
     assert told.startswith("free runs of place in windows miss by ")
     assert beyond_noise(None) == []
+
+
+def test_a_sensor_that_is_wrong_is_told_and_not_those_whose_windows_it_spoils():
+    """The acceleration comes late; position and velocity at the start of a window follow it."""
+    made = shaken(1, 0.02, ("x", "acc"))
+    late = np.stack([made.outputs[:, 0], np.roll(made.outputs[:, 1], 8)], axis=1)[50:]
+    late[:, 0] += 2e-3 * np.random.default_rng(2).standard_normal(len(late))
+    record = Record(made.time[50:], made.inputs[50:], late, hold="linear",
+                    input_names=("base",), output_names=("x", "acc"))  # fmt: skip
+    whole, windows = (validate(mixed(), record, window=length) for length in (np.inf, 2.0))
+    assert [text[:15] for text in beyond_noise(whole)] == ["free runs of ac"]
+    assert len(beyond_noise(windows)) == 2
+    (told,) = beyond_noise(windows, full_runs=whole)
+    assert re.match(
+        r"free runs of acc in windows miss by \S+ times the noise of its sensor \(and x by \S+ "
+        r"times in windows alone, which start from what all outputs show\), though",
+        told,
+    )
+    assert beyond_noise(windows, full_runs=replace(whole, rmse=0.0 * whole.rmse)) == beyond_noise(
+        windows
+    )
+    times = windows.rmse / sensor_noise(windows)
+    order = [windows.outputs[j] for j in np.argsort(-times)]
+    assert [text.split()[3] for text in beyond_noise(windows)] == order
 
 
 @pytest.mark.parametrize("seed", range(3))
