@@ -18,7 +18,13 @@ _MEDIAN_OF_SQUARE = 0.455  # of the square of a normal variable
 _UNNAMED = ": nothing that the data can name"
 _NO_EFFECT = (
     "{}, more than noise, and none of the tested effects explains it. `diagnosis` "
-    "shows where it lives; more records, of other motions, may tell"
+    "shows where it lives; "
+)
+_OTHER_MOTIONS = "more records, of other motions, may tell"
+_NO_STATE = (
+    "no output is a state, so that what acts on states (springs, friction, losses) was not tried. "
+    "Write such a term into the equations, that of the output too where it shows a force, or "
+    "measure the state as an output"
 )
 _UNTRIED = (
     "{}, more than noise, and no effect was tried: those that are asked for need "
@@ -142,7 +148,9 @@ def judged(
         if is_negligible:
             unnamed = _UNNAMED if relative_residual > 0.0 else ""
             return Status("nothing_missing", f"{description}{unnamed}")
-        reason = _NO_EFFECT if tried else _UNTRIED
+        reason = _UNTRIED
+        if tried:
+            reason = _NO_EFFECT + (_OTHER_MOTIONS if any(degrees) else _NO_STATE)
         return Status("unexplained", reason.format(description))
     if share >= _RULES.explained or is_negligible:
         return answered(share, relative_residual, degrees)

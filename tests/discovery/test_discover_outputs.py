@@ -288,3 +288,11 @@ def test_what_is_left_is_a_clause_of_its_own():
     assert little == ("what is left is 0.0001 of the output (rms): nothing that the data can name")
     more = judged((), 0.0, 0.5, False, (0,)).message
     assert more.startswith("what is left is 0.5 of the output (rms), more than noise, and none of")
+
+
+def test_where_no_output_is_a_state_it_says_what_was_not_tried():
+    untold = judged((), 0.0, 0.5, False, (0, 0)).message
+    assert "no output is a state, so that what acts on states" in untold
+    assert "of other motions" not in untold
+    for degrees in ((2, 0), (1,)):
+        assert judged((), 0.0, 0.5, False, degrees).message.endswith("of other motions, may tell")
