@@ -3,6 +3,8 @@
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 
+import numpy as np
+
 from eoi_jax.discovery.probability import Standing
 from eoi_jax.discovery.remarks import FitNote
 from eoi_jax.discovery.result import Added
@@ -11,12 +13,22 @@ from eoi_jax.estimation.covariance import Certainty
 from eoi_jax.estimation.identify import Identification, estimate
 from eoi_jax.estimation.preparation import PreparedRecords
 from eoi_jax.models.augmented import Placed
-from eoi_jax.models.effects import ActuatorLag, ConstantOffset, InputDelay, Leak, SensorLag
+from eoi_jax.models.effects import (
+    ActuatorLag,
+    ConstantOffset,
+    Drift,
+    InputDelay,
+    Leak,
+    SensorLag,
+    SinusoidalDisturbance,
+)
 from eoi_jax.models.placements import ends
 from eoi_jax.models.plant import Plant
+from eoi_jax.models.sensor_errors import sensor_errors
 from eoi_jax.refinement.result import Refinement
 
 _RULES = RULES.answer
+_INSTANTS = 50  # of a record, between which an equation is tested to be linear
 
 
 def added_effect(
@@ -71,10 +83,11 @@ def uncertain_effects(added: Sequence[Added]) -> list[str]:
 
 
 def fit_notes(plant: Plant, added: Sequence[Added], fit: Identification) -> list[str]:
-    """`level_notes`, `sensor_notes`, `sign_notes` and `untold_notes` of an answer."""
+    """All notes below on an answer."""
     return [
         *level_notes(plant, added),
         *sensor_notes(plant, added),
+        *disturbance_notes(fit, added),
         *sign_notes(plant, fit),
         *untold_notes(plant, fit),
     ]
@@ -127,6 +140,29 @@ def sensor_notes(plant: Plant, added: Sequence[Added]) -> list[str]:
     ]
 
 
+def disturbance_notes(fit: Identification, added: Sequence[Added]) -> list[str]:
+    """Notes on disturbances that an error of the sensor does as well, with the size of that.
+
+    Args:
+        fit: the answer.
+        added: to the model.
+    """
+    if not fit.status.fits or not fit.records or len(fit.plant.outputs) != 1:
+        return []
+    record, (output,) = fit.records[0], fit.plant.outputs
+    rows = [record.outputs]
+    for _ in range(1, fit.plant.rows):
+        rows.append(np.gradient(rows[-1], record.sample_period, axis=0))
+    chosen = np.unique(np.linspace(0, len(record) - 1, _INSTANTS).astype(int))
+    points = record.time[chosen], np.stack(rows, axis=1)[chosen], record.inputs[chosen]
+    unit = fit.plant.units.get(output, "")
+    return [
+        FitNote(_OF_SENSOR[name].format(output, f"{size:.3g} {unit}".rstrip(), name) + _WHICH)
+        for name, size in sensor_errors(fit.plant, points).items()
+        if any(item.effect.name == name for item in added)
+    ]
+
+
 def sign_notes(plant: Plant, fit: Identification) -> list[str]:
     """Notes on declared parameters that came out with the other sign, by more than their error.
 
@@ -173,6 +209,12 @@ def _estimated(plant: Plant, fit: Identification) -> list[tuple[str, float]]:
     ]
 
 
+_OF_SENSOR = {
+    ConstantOffset.name: "a zero of the sensor of {} that is off by {} does the same as {}",
+    Drift.name: "a drift of the sensor of {} by {}/s does the same as {}, but for a constant",
+    SinusoidalDisturbance.name: "a sinusoid in the sensor of {} of {} does the same as {}",
+}
+_WHICH = ": the records do not tell which"
 _LEVEL = "leak and constant_offset of {} are together a loss to a level of {} that nothing measures"
 _TURNED = (
     "{} is {:.3g}, and its nominal value {:.3g} has the other sign: where that is impossible give "

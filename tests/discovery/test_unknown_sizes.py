@@ -10,7 +10,7 @@ from scipy.integrate import solve_ivp
 
 import eoi_jax as eoi
 from eoi_jax.discovery import in_injection
-from eoi_jax.discovery.additions import fit_notes, sign_notes
+from eoi_jax.discovery.additions import disturbance_notes, fit_notes, sign_notes
 from eoi_jax.discovery.task import Task
 from eoi_jax.estimation.covariance import computed
 from eoi_jax.estimation.preparation import prepare_records
@@ -53,6 +53,19 @@ def test_short_noisy_records_of_a_right_model_name_nothing():
     held = record(draw, truth, noise, int(draw.integers(60, 200)))
     plant = eoi.Plant(swing, NOMINAL, 2, units={"y": "rad", "u": "V"})
     assert eoi.discover(plant, fit, validation=held).effects == ()
+
+
+def test_a_constant_of_the_sensor_is_told_beside_a_constant_force():
+    """An offset of -0.1 m/s² on a spring of 10 1/s² is a zero that is off by -0.01 m."""
+    answer = discovery()
+    values = answer.found.parameters
+    zero = values["constant_offset"] / (values["spring"] / values["mass"])
+    (note,) = disturbance_notes(answer.found, answer.added)
+    assert note == (
+        f"a zero of the sensor of position that is off by {zero:.3g} m does the same as "
+        "constant_offset: the records do not tell which"
+    )
+    assert disturbance_notes(answer.found, ()) == []
 
 
 @pytest.mark.parametrize(
