@@ -481,6 +481,10 @@ class Plant(eqx.Module):
         theta = jax.ShapeDtypeStruct(self.theta.shape, jnp.result_type(float))
         start = jax.eval_shape(self.internal_start, theta)
         r, ny, nu = self.rows, len(self.outputs), len(self.inputs)
+        layout = (
+            f"`x.y` has shape {(r, ny)}: rows are outputs and their derivatives, columns outputs."
+        )
+        layout += f" `u` has shape {(nu,)}, `x.z` shape {start.shape}."
 
         def shapes(field: str, function: Dynamics) -> tuple[int, ...]:
             def call(theta, z):
@@ -488,7 +492,7 @@ class Plant(eqx.Module):
                 return evaluated(function, self.names, jnp.zeros(()), x, jnp.zeros((nu,)), theta)
 
             check_indices(field, function, self, State, theta, start.shape)
-            return traced_shape(field, function, call, theta, start)
+            return traced_shape(field, function, call, theta, start, layout=layout)
 
         shape = shapes("dynamics", self.dynamics)
         lower = (

@@ -28,7 +28,9 @@ _SCALARS = (
 )
 
 
-def traced_shape(field: str, function: Any, call: Callable, *arguments: Any) -> tuple[int, ...]:
+def traced_shape(
+    field: str, function: Any, call: Callable, *arguments: Any, layout: str = ""
+) -> tuple[int, ...]:
     """Shape of what a call returns, without values.
 
     Args:
@@ -36,6 +38,7 @@ def traced_shape(field: str, function: Any, call: Callable, *arguments: Any) -> 
         function: of the user, which `call` calls.
         call: returns an array.
         arguments: of the call, arrays or their shapes.
+        layout: shapes of what the function gets, for a message where these do not unpack.
 
     Raises:
         ValueError: the function needs the values of what it gets, or does not run.
@@ -48,6 +51,7 @@ def traced_shape(field: str, function: Any, call: Callable, *arguments: Any) -> 
         value = f"{type(error).__name__}: {error}{line_of(function, error)}"
         returns_nothing = str(error).startswith("None is not a valid value")
         advice = "Does the function lack its `return`?" if returns_nothing else ""
+        advice = layout if "values to unpack" in str(error) else advice
         check(False, field, "must run where it is called", value, advice)
         raise
     except _UNTRACEABLE as error:

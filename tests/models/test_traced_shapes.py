@@ -85,6 +85,19 @@ def test_a_function_without_return_and_arrays_that_do_not_fit_are_named():
         eoi.Plant(misfit, {"a": 1.0})
 
 
+def test_outputs_that_unpack_otherwise_are_told_their_shape():
+    def states(t, x, u, p):
+        current, place, speed = x.y
+        return jnp.stack([u[0] - p.a * current, current - speed - place])
+
+    message = (
+        r"values to unpack .*\(line \d+ of .*\)\. `x.y` has shape \(2, 2\): rows are outputs and "
+        r"their derivatives, columns outputs\. `u` has shape \(1,\), `x.z` shape \(0,\)\."
+    )
+    with pytest.raises(ValueError, match=message):
+        eoi.Plant(states, {"a": 1.0}, (1, 2), outputs=("current", "place"))
+
+
 def test_the_rate_of_every_state_is_refused_with_the_reason_also_in_a_column():
     with pytest.raises(
         ValueError, match=r"got shape \(2, 1\)\. The lower ones follow from the high"
