@@ -26,19 +26,22 @@ HoldArgument: TypeAlias = str | Sequence[str] | Mapping[str, str]
 Columns: TypeAlias = slice | np.ndarray
 
 
-def read_hold(hold: Any, names: Sequence[str], automatic: bool = True) -> Hold:
+def read_hold(
+    hold: Any, names: Sequence[str], automatic: bool = True, words: Sequence[str] = HOLDS
+) -> Hold:
     """A hold as a caller may write it: one word where all inputs share it, else a word for each.
 
     Args:
         hold: a word, a word for each input in their order, or words by name of the input.
         names: of the inputs.
         automatic: whether ``"auto"`` is allowed.
+        words: that an input may have.
 
     Raises:
         ValueError: an unknown word or input, or an input without a hold.
     """
     if isinstance(hold, str):
-        check_choice("hold", hold, ("auto", *HOLDS) if automatic else HOLDS)
+        check_choice("hold", hold, ("auto", *words) if automatic else words)
         return hold
     if isinstance(hold, Mapping):
         for key in hold:
@@ -49,17 +52,17 @@ def read_hold(hold: Any, names: Sequence[str], automatic: bool = True) -> Hold:
         advice = 'Leave `hold` out, or write "auto", to have the fit decide for all inputs.'
         rule = "must say how each input behaves between its samples"
         check(not missing, "hold", rule, f"nothing for {', '.join(missing)}", advice)
-        words = [hold[key] for key in names]
+        chosen = [hold[key] for key in names]
     else:
         is_list = isinstance(hold, Sequence) and not isinstance(hold, bytes)
         rule = (
-            f"must be {', '.join(HOLDS)}, or such a word for each of {counted(len(names), 'input')}"
+            f"must be {', '.join(words)}, or such a word for each of {counted(len(names), 'input')}"
         )
         check(is_list and len(hold) == len(names), "hold", rule, hold)
-        words = [*map(str, hold)]
-    for key, word in zip(names, words, strict=True):
-        check_choice(f"hold[{key}]", word, HOLDS)
-    return shared(words)
+        chosen = [*map(str, hold)]
+    for key, word in zip(names, chosen, strict=True):
+        check_choice(f"hold[{key}]", word, words)
+    return shared(chosen)
 
 
 def shared(words: Sequence[str]) -> Hold:

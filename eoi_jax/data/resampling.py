@@ -13,7 +13,7 @@ from jaxtyping import Array, Bool, Float, Int
 
 from eoi_jax._checks import check, check_choice
 from eoi_jax._types import Mask, Signals, TimeAxis
-from eoi_jax.data.input_holds import HOLDS, Columns, Hold, by_hold, columns_by_hold
+from eoi_jax.data.input_holds import HOLDS, Columns, Hold, by_hold, columns_by_hold, hold_of_each
 from eoi_jax.data.recursion import substituted
 from eoi_jax.data.uniform_spline import within_steps
 
@@ -402,18 +402,23 @@ def inputs_within_steps(
 ) -> Any:
     """Inputs at the same fractions of every step, (steps, places, nu); its end (1) is part of it.
 
-    Those of JAX, also traced, have one hold, zero or linear.
+    Those of JAX, also traced, are held or linear: they have no spline.
     """
+    words = hold_of_each(hold, inputs.shape[1])
+    for word in (hold,) if isinstance(hold, str) else hold:
+        check_choice("hold", word, HOLDS)
+
+    def straight(group: Any, words: Sequence[str]) -> Any:
+        rise = (group[1:] - group[:-1]) * np.array([word == "linear" for word in words], float)
+        return group[:-1, None] + fractions[:, None] * rise[:, None]
 
     def values(word: str, columns: Columns) -> Any:
-        check_choice("hold", word, HOLDS)
         group = inputs[:, columns]
         if word == "smooth":
             return within_steps(np.asarray(group), fractions, degree=5)
-        rise = (group[1:] - group[:-1]) * (word == "linear")
-        return group[:-1, None] + fractions[:, None] * rise[:, None]
+        return straight(group, (word,))
 
-    return by_hold(hold, inputs, values)
+    return by_hold(hold, inputs, values) if "smooth" in words else straight(inputs, words)
 
 
 def held_means(

@@ -12,11 +12,11 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
-from eoi_jax._checks import check, check_choice, check_kind, check_positive, check_shape
+from eoi_jax._checks import check, check_kind, check_positive, check_shape
 from eoi_jax._types import Scalar
 from eoi_jax.compiler.jax_private import Tracer
 from eoi_jax.compiler.programs import jit
-from eoi_jax.data.input_holds import TRACED_HOLDS
+from eoi_jax.data.input_holds import TRACED_HOLDS, Hold, HoldArgument, read_hold
 from eoi_jax.data.masks import beyond_starts, moved_steps, tapered
 from eoi_jax.data.resampling import inputs_within_steps
 from eoi_jax.estimation.kernel import Kernel, Steps, Sums, Trace
@@ -62,7 +62,7 @@ def observe(
     u: Any,
     *,
     lowpass: LowPass | None = None,
-    hold: str = "zero",
+    hold: HoldArgument = "zero",
     transient: Scalar | float | None = None,
     valid: Any = None,
     noise: Any = 0.0,
@@ -90,7 +90,8 @@ def observe(
         lowpass: F. By default its cut-off is a tenth of the sampling rate, 0.2 π/h [rad/s], and its
             order the highest relative degree plus one: the widest filter that `identify` takes.
             Measured records need a narrower one (`identify(…).lowpass` shows it).
-        hold: inputs between samples: ``"zero"`` (held) or ``"linear"``.
+        hold: inputs between samples: ``"zero"`` (held) or ``"linear"``, of all inputs, of each in
+            order, or by name.
         transient: time at the start that does not count [s]; by default ten time constants of F
             (one second more for an explicit observer), at most a fifth of the record.
         valid: samples that were measured, shape (N,) or (N, ny); the others stand for a gap, or for
@@ -114,7 +115,7 @@ def observe(
     check_observer(plant, observer)
     if not isinstance(h, Tracer):
         check_positive("h", h, "It is the sample period in seconds.")
-    check_choice("hold", hold, TRACED_HOLDS)
+    hold = read_hold(hold, plant.inputs, automatic=False, words=TRACED_HOLDS)
     check_kind("lowpass", lowpass, (LowPass, type(None)), "a filter `LowPass(cutoff, order)`")
     rule = "must have no states that change at samples: passes do not follow them"
     check(plant.sampled is None, "plant", rule, plant.name)
@@ -171,7 +172,7 @@ def _observed(
     y: Float[Array, "time ny"],
     u: Float[Array, "time nu"],
     measured: Bool[Array, "time ny"],
-    hold: str,
+    hold: Hold,
     jumps: tuple[tuple[bool, ...], ...],
     signals: bool,
 ) -> ObserverPass:

@@ -39,6 +39,14 @@ from eoi_jax._checks import check, check_kind, check_positive, check_shape, real
 from eoi_jax._display import text
 from eoi_jax._types import Output, Scalar
 from eoi_jax.compiler.jax_private import Tracer
+from eoi_jax.data.input_holds import (
+    TRACED_HOLDS,
+    Hold,
+    HoldArgument,
+    held_inputs,
+    read_hold,
+    shared,
+)
 from eoi_jax.data.masks import SETTINGS
 from eoi_jax.data.record import Record
 from eoi_jax.estimation.defaults import velocity_noise
@@ -161,7 +169,8 @@ class OnlineEstimator(eqx.Module):
             time constants of F, and one second more for an explicit observer.
         noise: standard deviation of the noise of each output, by which a velocity with dry friction
             counts as zero.
-        hold: of the inputs between samples: ``"zero"`` or ``"linear"``.
+        hold: of the inputs between samples: ``"zero"`` or ``"linear"``, of all inputs, of each in
+            order, or by name.
         alarm: by default none.
 
     Raises:
@@ -179,7 +188,7 @@ class OnlineEstimator(eqx.Module):
     recursion: RecursiveLeastSquares
     weights: Float[Array | np.ndarray, " ny"]
     mask: OnlineMask
-    hold: str = eqx.field(static=True)
+    hold: Hold = eqx.field(static=True)
     alarm: Alarm | None
 
     def __init__(
@@ -194,7 +203,7 @@ class OnlineEstimator(eqx.Module):
         weights: Any = None,
         transient: float | None = None,
         noise: Any = 0.0,
-        hold: str = "zero",
+        hold: HoldArgument = "zero",
         alarm: Alarm | None = None,
     ):
         check_kind("plant", plant, Plant, "a Plant")
@@ -203,14 +212,12 @@ class OnlineEstimator(eqx.Module):
         check(plant.sampled is None, "plant", rule, plant.name)
         h, ny = real(sample_period), len(plant.outputs)
         check(h > 0, "sample_period", "must be positive [s]", sample_period)
-        check(hold in ("zero", "linear"), "hold", 'must be "zero" or "linear"', hold)
-        self.plant, self.observer, self.hold = plant, observer, hold
+        self.plant, self.observer = plant, observer
+        self.hold = read_hold(hold, plant.inputs, automatic=False, words=TRACED_HOLDS)
         self.lowpass, self.sample_period = lowpass.discretise(h), h
         self.theta = np.asarray(plant.theta if theta is None else theta, float)
         check_shape("theta", self.theta, (len(plant.names),), "one number a parameter")
-        self.inputs = DrivenInputs(
-            plant, self.theta, h, self.columns, hold == "zero" or observer.scheme == "explicit"
-        )
+        self.inputs = DrivenInputs(plant, self.theta, h, self.columns, self._zero_holds)
         self.recursion = RecursiveLeastSquares(forgetting, compensated=True)
         self.weights = np.ones(ny) if weights is None else np.asarray(weights, float)
         check_shape("weights", self.weights, (ny,), "one number an output")
@@ -231,6 +238,12 @@ class OnlineEstimator(eqx.Module):
         theta, ones = jnp.asarray(self.theta), jnp.ones(len(self.plant.outputs))
         parts = self.plant, self.observer, self.lowpass, theta
         return Kernel(*parts, jnp.zeros_like(theta), ones, "signals", jnp.asarray(self.columns))
+
+    @property
+    def _zero_holds(self) -> tuple[bool, ...]:
+        """Which inputs are constant over a step; an explicit observer takes all of them so."""
+        count = len(self.plant.inputs)
+        return held_inputs("zero" if self.observer.scheme == "explicit" else self.hold, count)
 
     @property
     def columns(self) -> Float[np.ndarray, "np free"]:
@@ -276,7 +289,7 @@ class OnlineEstimator(eqx.Module):
         number, h = state.samples - 1.0, jnp.asarray(self.sample_period)  # number of the step
         mask, counts = self.mask.step(state.mask, number, h, state.y, y, measured)
         explicit = self.observer.scheme == "explicit"
-        middle = state.u if explicit or self.hold == "zero" else 0.5 * (state.u + u)
+        middle = jnp.where(np.array(self._zero_holds, bool), state.u, 0.5 * (state.u + u))
         inputs, driven = self.inputs.step(
             state.inputs, number == 0.0, middle, state.u, jnp.asarray(self.theta), h
         )
@@ -375,8 +388,8 @@ def online_estimator(
     Args:
         result: of `identify`: model, observer and filter.
         records: as measured, all with one sample period; their injection is what is left where the
-            model holds, so that the alarm asks whether there is more. Inputs are held between the
-            samples where all records hold them, else they go in straight lines: nothing that needs
+            model holds, so that the alarm asks whether there is more. An input is held between the
+            samples where all records hold it, else it goes in straight lines: nothing that needs
             the next samples, as a smooth input does, is known in real time (`hold` says which).
         forgetting: λ of the recursion: it remembers about 1/(1 - λ) samples.
         memory: time over which the alarm takes the injection's power [s]; None: three time
@@ -406,8 +419,7 @@ def online_estimator(
     usual = _SETTINGS.memory / real(result.lowpass.cutoff)
     memory = max(usual, periods[0]) if memory is None else real(memory)
     _check_memory("memory", memory, periods[0])
-    held = all(hold == "zero" for record in used for hold in record.holds)
-    hold = "zero" if held else "linear"
+    hold = _hold_of_all(used)
     passes = [
         observe(
             plant, result.observer, None, record.sample_period, record.outputs, record.inputs,
@@ -452,6 +464,12 @@ _MORE_SAMPLES = (
     "Give longer records or more of them, or take `false_alarms=None`, an estimator without an "
     f"alarm. {_FEWER_LOST}"
 )
+
+
+def _hold_of_all(records: Sequence[Record]) -> Hold:
+    """The hold of each input in real time."""
+    holds = zip(*(record.holds for record in records), strict=True)
+    return shared(["zero" if set(words) == {"zero"} else "linear" for words in holds])
 
 
 def _lost_steps(

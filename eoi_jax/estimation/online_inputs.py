@@ -65,8 +65,8 @@ class DrivenState(eqx.Module):
     Attributes:
         memories: of all effects.
         starts: likewise, for inputs at the starts of the steps that are no means over them.
-        last: means over the last step behind the actuators, with their derivatives; None where
-            nothing asks for them.
+        last: means over the last step behind the actuators, with their derivatives, for inputs that
+            are. Both are None where nothing asks for them.
     """
 
     memories: tuple[Memory, ...]
@@ -91,7 +91,7 @@ class DrivenInputs(eqx.Module):
         theta: parameter values, numbers: the lengths of delays in samples are theirs.
         sample_period: h [s].
         columns: directions of the derivatives, unit vectors, shape (np, directions).
-        zero_hold: whether inputs are held over the steps.
+        zero_holds: which inputs are held over the steps.
 
     Raises:
         ValueError: an actuator that is a user's function, or an effect without `step`.
@@ -100,7 +100,7 @@ class DrivenInputs(eqx.Module):
     stages: tuple[Stage, ...] = eqx.field(static=True)
     columns: Float[np.ndarray | Array, "np directions"]
     has_starts: bool = eqx.field(static=True)
-    zero_hold: bool = eqx.field(static=True)
+    zero_holds: tuple[bool, ...] = eqx.field(static=True)
     staircases: tuple[bool, ...] = eqx.field(static=True)
 
     def __init__(
@@ -109,7 +109,7 @@ class DrivenInputs(eqx.Module):
         theta: np.ndarray,
         sample_period: float,
         columns: np.ndarray,
-        zero_hold: bool,
+        zero_holds: tuple[bool, ...],
     ):
         rule = "must be made of delays and lags (`effects.InputDelay`, …) to run sample by sample"
         stages: list[Stage] = []
@@ -128,7 +128,7 @@ class DrivenInputs(eqx.Module):
             stages.append(Stage(effect, placed.channel, shapes, size, moving, directions))
             reached[placed.channel] = directions
         self.stages, self.columns = tuple(stages), columns
-        self.has_starts, self.zero_hold = plant.has_algebraic, zero_hold
+        self.has_starts, self.zero_holds = plant.has_algebraic, zero_holds
         self.staircases = keeps_steps(plant.actuator, len(plant.inputs))
 
     def init(self) -> DrivenState:
@@ -139,10 +139,10 @@ class DrivenInputs(eqx.Module):
         )
         if not self.stages or not self.has_starts:
             return DrivenState(memories)
-        if not self.zero_hold:
-            return DrivenState(memories, starts=memories)
-        zeros = jnp.zeros((len(self.staircases), self.columns.shape[1]))
-        return DrivenState(memories, last=(jnp.zeros(len(self.staircases)), zeros))
+        nu = len(self.zero_holds)
+        last = jnp.zeros(nu), jnp.zeros((nu, self.columns.shape[1]))
+        starts = None if all(self.zero_holds) else memories
+        return DrivenState(memories, starts, last if any(self.zero_holds) else None)
 
     def step(
         self,
@@ -168,21 +168,23 @@ class DrivenInputs(eqx.Module):
         memories, means, slopes = self._along(state.memories, first, u, theta, h)
         if not self.has_starts:
             return DrivenState(memories), StepInputs(means, slopes, None, None)
-        if not self.zero_hold:
-            assert state.starts is not None
+        starts, at_start = None, (means, slopes)
+        if state.starts is not None:
             starts, *at_start = self._along(state.starts, first, u_start, theta, h)
+        if state.last is None:
             return DrivenState(memories, starts), StepInputs(means, slopes, *at_start)
         # A held input stays held behind a delay, and is continuous behind a lag.
-        assert state.last is not None
-        flags = np.asarray(self.staircases)
-        at_start = (
-            jnp.where(flag, mean, 0.5 * (jnp.where(first, mean, previous) + mean))
-            for flag, mean, previous in zip(
-                (flags, flags[:, None]), (means, slopes), state.last, strict=True
-            )
-        )
-        state = DrivenState(memories, last=(means, slopes))
-        return state, StepInputs(means, slopes, *at_start)
+        stairs, constant = np.asarray(self.staircases), np.asarray(self.zero_holds)
+
+        def started(stairs: Any, constant: Any, mean: Array, last: Array, moving: Array) -> Array:
+            between = 0.5 * (jnp.where(first, mean, last) + mean)
+            return jnp.where(constant, jnp.where(stairs, mean, between), moving)
+
+        u_begin = started(stairs, constant, means, state.last[0], at_start[0])
+        columns = stairs[:, None], constant[:, None]
+        slope_begin = started(*columns, slopes, state.last[1], at_start[1])
+        state = DrivenState(memories, starts, (means, slopes))
+        return state, StepInputs(means, slopes, u_begin, slope_begin)
 
     def _along(
         self,

@@ -1,5 +1,6 @@
 """The estimator for a loop in real time as text."""
 
+from eoi_jax.data.input_holds import hold_text
 from eoi_jax.estimation.online import Alarm, OnlineEstimator
 from eoi_jax.report.tables import gains_text
 
@@ -10,7 +11,8 @@ def online_text(estimator: OnlineEstimator) -> str:
     Args:
         estimator: of `online_estimator`, or made by itself.
     """
-    plant, inputs = estimator.plant, "held" if estimator.hold == "zero" else "linear"
+    plant, hold = estimator.plant, estimator.hold
+    inputs = {"zero": "held", "linear": "linear"}.get(str(hold), hold_text(hold, plant.inputs))
     step = f"a step each {estimator.sample_period:.6g} s, inputs {inputs} between samples"
     values = zip(plant.names, estimator.theta, plant.free, strict=True)
     parameters = [f"{name} {value:.6g}{'' if free else ' (fixed)'}" for name, value, free in values]

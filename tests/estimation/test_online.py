@@ -213,6 +213,73 @@ def test_behind_delays_and_lags_it_is_the_pass_and_the_recursion(case, hold):
     np.testing.assert_allclose(online.parameters[401:], known[400:], rtol=1e-7, atol=1e-9)
 
 
+# -- inputs with a hold each ---------------------------------------------------------------------
+
+SWITCHED = {"valve": "zero", "weather": "linear"}
+
+
+def kept(t, x, u, p):
+    """A temperature between a heater and the weather."""
+    return [p.k * u[0] + p.a * (u[1] - x.y[0, 0])]
+
+
+def sensed(t, x, u, p):
+    """A voltage that takes part in both inputs at once."""
+    return [p.a * u[1] - p.k * u[0] - x.z[0]]
+
+
+def with_two_inputs(algebraic=False):
+    """A plant with delays of both inputs, its observer, and a record of one beside it."""
+    names = {"inputs": ("valve", "weather"), "outputs": ("y",)}
+    if algebraic:
+        plant = eoi.Plant(sensed, {"k": 0.5, "a": 0.3, "b": 1.0}, 0, name="sensed", **names,
+                          internal=lambda t, x, u, p: [p.b * (u[0] - x.z[0])],
+                          internal_initial=[0.0])  # fmt: skip
+        observer = eoi.observers.Measurement()
+    else:
+        plant = eoi.Plant(kept, {"k": 2.0, "a": 0.8}, 1, name="kept", **names)
+        observer = eoi.observers.FirstOrder(8.0, 1.0)
+    for channel, shapes in enumerate(([0.0537], [0.0213])):
+        placed = place(plant, DELAY, channel)
+        plant = augmented(plant, [placed], dict(zip(placed.names, shapes, strict=True)))
+    time = H * np.arange(SAMPLES)
+    valve = eoi.excitation.random_steps(time, -1.0, 1.0, 0.1, seed=1)
+    weather = eoi.excitation.multisine(time, 1.0, (0.2, 4.0), 20, seed=2)
+    record = eoi.simulate(plant, time, np.c_[valve, weather], hold=SWITCHED)
+    return plant, observer, record
+
+
+@pytest.mark.parametrize("algebraic", [False, True])
+def test_inputs_with_a_hold_each_are_those_of_the_pass_and_of_the_file(algebraic, tmp_path):
+    plant, observer, record = with_two_inputs(algebraic)
+    lowpass = eoi.LowPass(8.0, plant.relative_degree + 1)
+    estimator = eoi.OnlineEstimator(plant, observer, lowpass, H, transient=2.0, hold=SWITCHED)
+    online = ours(estimator, record)
+    p = eoi.observe(plant, observer, None, H, record.outputs, record.inputs, lowpass=lowpass,
+                    transient=2.0, hold=SWITCHED)  # fmt: skip
+    size = np.max(np.abs(record.outputs))
+    np.testing.assert_allclose(online.injection[1:], p.injection, atol=1e-11 * size)
+    known = plant.theta + eoi.recursive(p.regressors, p.injection, p.score)[0]
+    np.testing.assert_allclose(online.parameters[401:], known[400:], rtol=1e-6, atol=1e-8)
+    theirs = Exported(estimator, tmp_path, "double").run(record.outputs, record.inputs)
+    np.testing.assert_allclose(
+        theirs[400:, : len(plant.names)], online.parameters[400:], rtol=1e-10
+    )
+    assert "inputs zero for valve, linear for weather between samples" in str(estimator)
+
+
+def test_an_input_that_is_held_acts_at_once_beside_one_that_goes_on():
+    """Taken as linear, the valve would seem late by half a sample more: 58.7 ms."""
+    plant, _, record = with_two_inputs()
+    started = plant.with_parameters({"k": 2.1, plant.names[-2]: 0.0512})
+    estimator = eoi.online_estimator(
+        eoi.identify(started, record, instruments=False), record, false_alarms=None
+    )
+    assert estimator.hold == ("zero", "linear")
+    parameters = ours(estimator, record).parameters[-1]
+    np.testing.assert_allclose(parameters, plant.theta, rtol=2e-3, atol=2e-4)
+
+
 def test_it_finds_a_delay_that_is_not_fixed_and_leaves_one_that_is():
     plant, observer, _ = acted("delay")
     record = recorded(plant, scale=1.0)
@@ -643,7 +710,8 @@ def test_wrong_estimators_are_named():
     lowpass = eoi.LowPass(8.0, 3)
     for arguments, message in (
         ({"sample_period": 0.0}, r"`sample_period` must be positive \[s\]"),
-        ({"hold": "smooth"}, '`hold` must be "zero" or "linear"'),
+        ({"hold": "smooth"}, "`hold` must be one of zero, linear, got 'smooth'"),
+        ({"hold": {"u": "smooth"}}, r"`hold\[u\]` must be one of zero, linear, got 'smooth'"),
         ({"theta": [1.0]}, "`theta` must"),
         ({"weights": [1.0, 2.0]}, "`weights` must"),
     ):
