@@ -614,10 +614,15 @@ def _jumps(structure: Any, theta: tuple[float, ...], dtype: Any) -> Bool[np.ndar
     """`Plant.jumps` of the plant of this structure; its bounds have no influence."""
     del dtype  # part of the cache key: the probes are computed in this type
     plant: Plant = jax.tree.unflatten(structure, [np.asarray(theta)] * structure.num_leaves)
-    near_change, far_change, size = along(_across_rest, ("fixed", "rows"), plant, _probes(plant))
-    # A slope grows with the distance between the two velocities, a jump does not.
-    rounding = 1e2 * np.finfo(near_change.dtype).eps * size
-    jumps = (near_change > rounding) & (near_change > 0.5 * far_change)
+    change, size, far_change, far_size = along(
+        _across_rest, ("fixed", "rows"), plant, _probes(plant)
+    )
+    # A slope grows with the distance between the two velocities, a jump does not: a power of it
+    # above 0.015 grows by more than a tenth. Beside a pole (a capacity that vanishes) f has no
+    # limits between which to jump.
+    rounding = 1e2 * np.finfo(change.dtype).eps * size
+    jumps = (change > rounding) & (change > 0.9 * far_change)
+    jumps &= ~np.any(size > 1.01 * far_size, axis=0)
     # A change of another output where an output of degree one changes sign is no friction.
     diagonal = np.eye(len(plant.outputs), dtype=bool)
     jumps = np.any(jumps, axis=0) & (diagonal | (np.asarray(plant.degrees) >= 2))
@@ -636,8 +641,8 @@ def _pushed(plant: Plant, probe: tuple[Any, ...]) -> tuple[Array, Array]:
 
 def _across_rest(
     plant: Plant, probe: tuple[Any, ...], ratio: float = 1e3
-) -> tuple[Array, Array, Array]:
-    """Change of f_i across rest of output j at `REST_SPEED` and `ratio` times it; size of f_i."""
+) -> tuple[Array, Array, Array, Array]:
+    """Change of f_i across rest of output j and its size, at `REST_SPEED` and `ratio` times it."""
     t, y, u, theta = probe
     x = State(y, apart(plant.internal_start(theta)))
 
@@ -646,5 +651,4 @@ def _across_rest(
         below_rest = plant._with_velocities(t, x, u, theta, -distance)
         return jnp.abs(above_rest - below_rest).T, (jnp.abs(above_rest) + jnp.abs(below_rest)).T
 
-    (near_change, size), (far_change, _) = change(REST_SPEED), change(ratio * REST_SPEED)
-    return near_change, far_change, size
+    return *change(REST_SPEED), *change(ratio * REST_SPEED)

@@ -7,6 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from eoi_jax.models.equations.text_model import plant_from_text
 from eoi_jax.models.library import Plant, State
 from eoi_jax.models.units import derivative_unit
 
@@ -229,6 +230,18 @@ def test_a_level_that_empties_is_no_dry_friction():
         return u - p.k * jnp.sqrt(jnp.maximum(x.y[0], 0.0))
 
     assert Plant(tank, {"k": 1.0}).dry_friction == (False,)
+
+
+@pytest.mark.parametrize("exponent", [0.3, 0.5, 1.0, 2.0])
+@pytest.mark.parametrize("feed", [0.0, 0.1])
+def test_a_vessel_that_narrows_to_a_point_is_no_dry_friction(exponent, feed):
+    """The rate has a pole where it is empty, of either sign."""
+    names = {"outputs": ["level"], "inputs": ["feed", "valve"]}
+    values = {"fill": feed, "drain": 0.3, "n": exponent}
+    flows = "drain*valve*sqrt(level)" if not feed else "fill*feed - drain*valve*sqrt(level)"
+    values = values if feed else {key: values[key] for key in ("drain", "n")}
+    text = {"level": f"({flows})/max(abs(level), 1e-300)**n"}
+    assert plant_from_text(text, values, **names).dry_friction == (False,)
 
 
 def test_what_switches_with_the_sign_of_another_speed_is_no_friction():
