@@ -49,7 +49,7 @@ def export(run: Path, language: str | None, target: Path | None, trust: bool = F
         check(language is not None, "--language", rule, "nothing", advice)
         check_choice("--language", str(language), LANGUAGES)
         target = (run if run.is_dir() else run.parent) / f"model{suffix_of(str(language))}"
-    path = export_model(run_folder.plant_of_run(run, trust), target, language)
+    path = export_model(run_folder.result_of_run(run, trust), target, language)
     return Outcome({"model": str(path)}, str(path), path)
 
 

@@ -334,14 +334,6 @@ def _write(path: Path, text: str) -> None:
 # -- from files -------------------------------------------------------------------------------
 
 
-def plant_of_run(run: Path, trust: bool = False) -> Plant:
-    """The estimated model of a run, with the effects that were added.
-
-    Arguments and errors as of `result_of_run`.
-    """
-    return _model_of(result_of_run(run, trust))
-
-
 def result_of_run(run: Path, trust: bool = False) -> Any:
     """The stored result of a run, with its model; or the plant, where only that is stored.
 

@@ -1,12 +1,15 @@
 """Write a model to a file of another language."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
+from dataclasses import replace
 from importlib.metadata import version as version_of
 from pathlib import Path
 from typing import Any
 
 from eoi_jax._checks import check, check_choice
+from eoi_jax.data.record import Record
 from eoi_jax.models.equations.display import equation_lines
+from eoi_jax.models.equations.expression import Symbol
 from eoi_jax.models.equations.right_sides import right_sides
 from eoi_jax.models.equations.text_model import model_json
 from eoi_jax.models.export.c import c_text
@@ -51,7 +54,8 @@ def export(model: Any, path: str | Path, language: str | None = None) -> Path:
 
     ``"idnlgrey"`` is for MATLAB's System Identification Toolbox: a function ``[dx, y] = name(t, x,
     u, p1, p2, …, varargin)``, and beside it the script ``name_idnlgrey.m``, which builds the object
-    with parameters, bounds, units and initial states.
+    with parameters, bounds, units and initial states: known ones, and of a result otherwise the
+    first samples of its first record.
 
     The formulas are those that JAX traces, so any model of arithmetic on states, inputs and
     parameters can be exported; values agree to rounding where they are real and finite.
@@ -79,7 +83,8 @@ def export(model: Any, path: str | Path, language: str | None = None) -> Path:
         check(path.suffix in SUFFIXES, "path", rule, path, advice)
         language = SUFFIXES[path.suffix]
     check_choice("language", language, LANGUAGES)
-    texts = model_texts(plant, language, path.stem)  # type: ignore[arg-type]
+    records = getattr(model, "records", ())
+    texts = model_texts(plant, language, path.stem, records[:1])  # type: ignore[arg-type]
     for name, text in texts.items():
         write_content(path.with_stem(name), text.encode())
     return path
@@ -94,13 +99,16 @@ def suffix_of(language: str) -> str:
     return next((key for key, value in SUFFIXES.items() if value == language), ".m")
 
 
-def model_texts(plant: Plant, language: str, name: str) -> dict[str, str]:
+def model_texts(
+    plant: Plant, language: str, name: str, records: Sequence[Record] = ()
+) -> dict[str, str]:
     """What `export` writes.
 
     Args:
         plant: any that can be exported.
         language: one of `LANGUAGES`.
         name: of the function.
+        records: the first one, where states begin that have no known start; none is no matter.
 
     Returns:
         The text of each file, by its name without suffix.
@@ -113,7 +121,7 @@ def model_texts(plant: Plant, language: str, name: str) -> dict[str, str]:
     fitting = identifier(name)
     rule = "must be named as a function can be"
     check(name == fitting, "path", rule, name, f"For example {fitting}.")
-    model = program(plant)
+    model = _begun(program(plant), plant.outputs, records)
     if language == "idnlgrey":
         script = idnlgrey_script(plant, model, name, version)
         function = idnlgrey_function(plant, model, name, version)
@@ -121,6 +129,19 @@ def model_texts(plant: Plant, language: str, name: str) -> dict[str, str]:
     if language == "c":
         return {name: _c_text(plant, model, name, version)}
     return {name: _FUNCTIONS[language](model, name, version)}
+
+
+def _begun(model: Program, outputs: Sequence[str], records: Sequence[Record]) -> Program:
+    """With the first measured samples of outputs whose start is not known."""
+    known = {symbol.name for symbol in model.start_values if not symbol.order}
+    states = {variable.symbol for variable in model.states}
+    starts = {}
+    for record in records[:1]:
+        for j, name in enumerate(outputs):
+            measured = record.outputs[record.output_valid[:, j], j]
+            if Symbol(name) in states and name not in known and measured.size:
+                starts[Symbol(name)] = float(measured[0])
+    return replace(model, measured_starts=starts)
 
 
 def _latex_text(plant: Plant, version: str) -> str:

@@ -236,12 +236,13 @@ def test_a_level_that_empties_is_no_dry_friction():
 @pytest.mark.parametrize("feed", [0.0, 0.1])
 def test_a_vessel_that_narrows_to_a_point_is_no_dry_friction(exponent, feed):
     """The rate has a pole where it is empty, of either sign."""
-    names = {"outputs": ["level"], "inputs": ["feed", "valve"]}
     values = {"fill": feed, "drain": 0.3, "n": exponent}
-    flows = "drain*valve*sqrt(level)" if not feed else "fill*feed - drain*valve*sqrt(level)"
-    values = values if feed else {key: values[key] for key in ("drain", "n")}
+    flows = "fill*feed - drain*valve*sqrt(level)"
+    if not feed:
+        flows, values = "-drain*valve*sqrt(level)", {"drain": 0.3, "n": exponent}
     text = {"level": f"({flows})/max(abs(level), 1e-300)**n"}
-    assert plant_from_text(text, values, **names).dry_friction == (False,)
+    plant = plant_from_text(text, values, outputs=["level"], inputs=["feed", "valve"])
+    assert plant.dry_friction == (False,)
 
 
 def test_what_switches_with_the_sign_of_another_speed_is_no_friction():

@@ -122,12 +122,13 @@ def _parameter_lines(plant: Plant, model: Program) -> list[str]:
 
 
 def _state_lines(model: Program) -> list[str]:
-    """Known starts are fixed."""
+    """Known starts are fixed; others begin where the first record does."""
+    starts = {**model.measured_starts, **model.start_values}
     rows = [
         (
             _quoted(variable.name),
             _quoted(variable.unit),
-            _number(model.start_values.get(variable.symbol, 0.0)),
+            _number(starts.get(variable.symbol, 0.0)),
             "-Inf",
             "Inf",
             _flag(variable.symbol in model.start_values),

@@ -182,6 +182,8 @@ def _unit(unit: str) -> str:
 
 
 def _start(model: Program, symbol: Symbol) -> str:
+    if symbol in model.measured_starts:
+        return f"the first record begins at {model.measured_starts[symbol]!r}"
     if symbol not in model.start_values:
         return ""
     start = f"starts at {model.start_values[symbol]!r}"

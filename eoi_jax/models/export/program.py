@@ -5,7 +5,7 @@ gets a name.
 """
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import jax.numpy as jnp
 
@@ -68,6 +68,7 @@ class Program:
         output_definitions: parts that these share.
         arguments: what the formulas depend on besides states, inputs and parameters.
         estimated_starts: internal states that free runs start elsewhere where a record shows it.
+        measured_starts: outputs without a known start, where the first record begins.
     """
 
     name: str
@@ -87,6 +88,7 @@ class Program:
     output_definitions: tuple[tuple[Symbol, Expression], ...] = ()
     arguments: tuple[Symbol, ...] = (Symbol("t"),)
     estimated_starts: tuple[Symbol, ...] = ()
+    measured_starts: Mapping[Symbol, float] = field(default_factory=dict)
 
     @property
     def of_outputs(self) -> "Program":
@@ -192,9 +194,9 @@ def _check_exportable(plant: Plant) -> None:
     double = jnp.result_type(float) == jnp.float64
     advice = "Call `eoi_jax.configure()` before JAX is used."
     check(double, "precision", "must be double to export a model", "single", advice)
-    for field, names in (("inputs", plant.inputs), ("outputs", plant.outputs)):
+    for kind, names in (("inputs", plant.inputs), ("outputs", plant.outputs)):
         rule = "must not be called t to be exported, which is the time in equations"
-        check("t" not in names, f"plant.{field}", rule, ", ".join(names), "Give it another name.")
+        check("t" not in names, f"plant.{kind}", rule, ", ".join(names), "Give it another name.")
 
 
 def _variable(plant: Plant, symbol: Symbol, name: str, note: str = "") -> Variable:

@@ -165,6 +165,25 @@ def test_known_starts_are_fixed_and_a_delay_is_left_to_the_data(tmp_path):
     assert "% The input voltage acts 0.25 s late: delay it in the data." in script
 
 
+def test_an_output_without_a_known_start_begins_where_the_first_record_does(tmp_path):
+    """A rate of level^-2 is infinite at zero."""
+    tank = eoi.plant_from_text({"level": "a*feed - b*sqrt(level)"}, {"a": 1.0, "b": 0.2}, ["level"],
+                               inputs=["feed"])  # fmt: skip
+    time = 0.1 * np.arange(400)
+    feed = eoi.excitation.random_steps(time, 0.5, 1.5, 2.0, seed=0)
+    record = eoi.simulate(tank, time, feed, {"level": 49.5}, hold="zero")
+    result = eoi.identify(tank, record, instruments=False)
+    eoi.export(result, tmp_path / "rig.m", language="idnlgrey")
+    states = (tmp_path / "rig_idnlgrey.m").read_text(encoding="utf-8").split("initial_states")[1]
+    assert [number(entry) for entry in column(states, "Value")] == pytest.approx([49.5], rel=1e-3)
+    assert column(states, "Fixed") == ["false"]
+    text = eoi.export(result, tmp_path / "rig.py").read_text(encoding="utf-8")
+    assert re.search(r"states\[0\] level: the first record begins at 49\.[45]", text)
+    known = tank.declared_anew(initial={"level": 50.0})
+    text = eoi.export(eoi.identify(known, record, instruments=False), tmp_path / "rig.py")
+    assert "level: starts at 50.0" in text.read_text(encoding="utf-8")
+
+
 def test_octave_runs_both_files(tmp_path):
     octave = shutil.which("octave-cli") or shutil.which("octave")
     if octave is None:
