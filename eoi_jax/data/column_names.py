@@ -54,6 +54,17 @@ def stem(name: str) -> str:
     return _path(name)[-1]
 
 
+def in_other_units(name: str, names: Sequence[str]) -> list[str]:
+    """Names that differ in the unit only; without any those that share the end of the path.
+
+    Args:
+        name: of a column.
+        names: of others.
+    """
+    equal = [entry for entry in names if _path(entry) == _path(name)]
+    return equal or [entry for entry in names if stem(entry) == stem(name)]
+
+
 # What an instrument's tag ends with: process value, set point, output, …
 _ATTRIBUTES = ("pv", "sp", "op", "mv", "cv", "out", "in", "val", "value", "act", "ist", "soll")
 

@@ -90,6 +90,7 @@ def free_run_series(content: FreeRuns, max_range: float = 3.0) -> TimeSeries:
             runs.insert(0, Signal("measured", y, None, 2.0, dots=slow))
             mean = float(np.nanmean(y))
             size = max_range * float(np.nanmax(np.abs(y - mean)))
+            size = max(size, _reach_beyond(courses[-1], mask, mean))
             if size > 0:  # of a constant measurement nothing is clipped
                 upper_limits, lower_limits = (mean - size, mean + size), (-size, size)
         panels += [
@@ -98,6 +99,17 @@ def free_run_series(content: FreeRuns, max_range: float = 3.0) -> TimeSeries:
         ]
     time = np.asarray(content.record.time)
     return TimeSeries(time, tuple(panels), content.record.data_hash, f"time [s], {content.title}")
+
+
+def _reach_beyond(course: Float[np.ndarray, " time"], measured: Mask, mean: float) -> float:
+    """How far a run goes from a level before the first and behind the last measured sample.
+
+    There it is a prediction only, and no measurement is flattened by it.
+    """
+    (samples,) = np.nonzero(measured)
+    beyond = np.concatenate([course[: samples[0]], course[samples[-1] + 1 :]])
+    distances = np.abs(beyond[np.isfinite(beyond)] - mean)
+    return float(np.max(distances, initial=0.0))
 
 
 def _joined(course: Float[np.ndarray, " time"], simulated: Mask) -> Float[np.ndarray, " time"]:

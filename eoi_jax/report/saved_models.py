@@ -34,9 +34,9 @@ class LargestCorrelation(NamedTuple):
     share_outside: float
 
     @property
-    def is_inside(self) -> bool:
-        """Whether no lag exceeds the bound."""
-        return not abs(self.value) > self.bound
+    def is_inside(self) -> bool | None:
+        """Whether no lag exceeds the bound; None where a signal is constant."""
+        return None if np.isnan(self.value) else not abs(self.value) > self.bound
 
 
 def largest_correlations(result: Validation) -> list[LargestCorrelation]:
@@ -78,15 +78,16 @@ def correlation_text(rows: Sequence[LargestCorrelation]) -> str:
     head = ("error of", "with", "largest", "lag [s]", "99 % bound", "lags outside", "")
     table: list[tuple[str, ...]] = [("record", *head) if has_records else head]
     for row in rows:
-        cells = (
-            row.output,
-            "itself" if row.input is None else row.input,
-            f"{row.value:+.3f}",
-            f"{row.lag:.4g}",
-            f"± {row.bound:.3f}",
-            f"{100 * row.share_outside:.3g} %",
-            "inside" if row.is_inside else "outside",
-        )
+        numbers = ("", "", "", "", "one is constant: no correlation")
+        if row.is_inside is not None:
+            numbers = (
+                f"{row.value:+.3f}",
+                f"{row.lag:.4g}",
+                f"± {row.bound:.3f}",
+                f"{100 * row.share_outside:.3g} %",
+                "inside" if row.is_inside else "outside",
+            )
+        cells = (row.output, "itself" if row.input is None else row.input, *numbers)
         table.append((row.record, *cells) if has_records else cells)
     legend = "1 % of the lags are outside by chance where the model lacks nothing"
     alignments = f"{'<' * has_records}<<>>>><"

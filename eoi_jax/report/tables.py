@@ -361,11 +361,16 @@ def validation_text(result: Validation) -> str:
 
 
 def _scored_time(result: Validation) -> float:
-    """Time over which samples are scored [s], however few were measured in it."""
+    """Time from the first to the last sample that is measured and scored [s], of all records."""
     if not result.scored_at:  # of an earlier version
         return result.scored * _mean_period(result.predictions)
-    pairs = zip(result.scored_at, result.predictions, strict=True)
-    return sum(float(np.sum(mask)) * record.sample_period for mask, record in pairs)
+    total = 0.0
+    for i, (mask, record) in enumerate(zip(result.scored_at, result.predictions, strict=True)):
+        measured = np.any(result.records[i].output_valid, axis=1) if result.records else True
+        (samples,) = np.nonzero(mask & measured)
+        span = slice(samples[0], samples[-1] + 1) if samples.size else slice(0)
+        total += float(np.sum(mask[span])) * record.sample_period
+    return total
 
 
 def profile_text(result: Profile) -> str:

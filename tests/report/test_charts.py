@@ -23,6 +23,7 @@ from eoi_jax.report.free_runs import (
     worst_window,
 )
 from eoi_jax.report.residual_correlation import residual_correlation_figure
+from eoi_jax.report.saved_models import correlation_text, largest_correlations
 from eoi_jax.report.time_series import Panel, Signal, TimeSeries, time_series_figure
 
 
@@ -256,3 +257,32 @@ def test_a_constant_measurement_clips_nothing():
     decay = eoi.plant_from_text({"y": "-k*y"}, {"k": 0.2}, ["y"])
     content = free_run_series(validation_runs((eoi.validate(decay, record), "free run")))
     assert [panel.limits for panel in content.panels] == [None, None]
+
+
+def predicted_beyond_the_first_samples():
+    """A shift of 400 samples of which only the first 40 were measured, near the start."""
+    time = np.arange(400.0)
+    plant = eoi.plant_from_text({"y": "a*u - k*y"}, {"a": 0.02, "k": 0.005}, ["y"], inputs=["u"])
+    record = eoi.simulate(plant, time, np.ones(400), hold="zero")
+    outputs = np.where(time[:, None] < 40, record.outputs, np.nan)
+    part = eoi.Record(time, record.inputs, outputs, "tomorrow", hold="zero")
+    return eoi.validate(plant, part, initial_samples=10)
+
+
+def test_a_prediction_beyond_the_measurement_is_in_the_picture():
+    judged = predicted_beyond_the_first_samples()
+    limits = free_run_series(validation_runs((judged, "free run"))).panels[0].limits
+    assert limits is not None
+    assert limits[1] >= np.nanmax(judged.predictions[0].known_outputs) > 3.0
+
+
+def test_the_time_that_is_scored_ends_where_nothing_is_measured():
+    judged = predicted_beyond_the_first_samples()
+    assert str(judged).startswith("Free run, 1 record, 30 samples (30 s) scored")
+
+
+def test_a_correlation_with_a_constant_is_neither_inside_nor_outside():
+    rows = largest_correlations(predicted_beyond_the_first_samples())
+    assert [row.is_inside for row in rows if row.input is not None] == [None]
+    assert "one is constant: no correlation" in correlation_text(rows)
+    assert "nan" not in correlation_text(rows)

@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 
 from eoi_jax._checks import check, check_choice, check_kind, check_positive, printable
-from eoi_jax.data.column_names import stem
+from eoi_jax.data.column_names import in_other_units
 from eoi_jax.data.input_holds import HoldArgument, hold_text, read_hold
 from eoi_jax.data.readers.archive import read_arrays
 from eoi_jax.data.readers.delimited import line_of, read_text
@@ -281,8 +281,9 @@ def _column(path: Path, table: Table, field: str, key: str) -> np.ndarray:
         f"`{key}`",
         table.objects.get(container or "", ""),
     )
-    other_units = [column for column in columns if stem(column) == stem(key)]
-    close = other_units or difflib.get_close_matches(key, columns, n=1, cutoff=0.4)
+    close = in_other_units(key, list(columns)) or difflib.get_close_matches(
+        key, columns, n=1, cutoff=0.4
+    )
     hint = f" Did you mean `{close[0]}`?" if close else ""
     check(
         False,

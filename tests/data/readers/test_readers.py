@@ -390,6 +390,9 @@ def test_a_column_of_the_same_name_in_another_unit_is_the_one_that_is_meant(tmp_
     (tmp_path / "run.csv").write_text(f"t,Ta [degC],T [degF]\n{rows}")
     with pytest.raises(ValueError, match=r"got `T \[degC\]`. Did you mean `T \[degF\]`\?"):
         read_record(tmp_path / "run.csv", "t", "Ta [degC]", "T [degC]")
+    (tmp_path / "run.csv").write_text(f"t,TI2.PV [degC],TIC1.PV [degF]\n{rows}")
+    with pytest.raises(ValueError, match=r"Did you mean `TIC1.PV \[degF\]`\?"):
+        read_record(tmp_path / "run.csv", "t", "TI2.PV [degC]", "TIC1.PV [degC]")
 
 
 @pytest.mark.parametrize(
