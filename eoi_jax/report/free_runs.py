@@ -107,8 +107,8 @@ def _reach_beyond(course: Float[np.ndarray, " time"], measured: Mask, mean: floa
     There it is a prediction only, and no measurement is flattened by it.
     """
     (samples,) = np.nonzero(measured)
-    beyond = np.concatenate([course[: samples[0]], course[samples[-1] + 1 :]])
-    distances = np.abs(beyond[np.isfinite(beyond)] - mean)
+    tails = np.concatenate([course[: samples[0]], course[samples[-1] + 1 :]])
+    distances = np.abs(tails[np.isfinite(tails)] - mean)
     return float(np.max(distances, initial=0.0))
 
 

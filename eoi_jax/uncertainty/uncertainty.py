@@ -259,11 +259,13 @@ def _weak(
     tolerance: float = 0.05,
     inflation: float = 10.0,
     min_change: float = 0.1,
+    surer: float = 0.5,
 ) -> list[str]:
     """Sentences on combinations that noise hides though each of their parameters alone would show.
 
     In units of the error that each parameter had if the others were known, the precision has a unit
-    diagonal; a small eigenvalue is a combination that shows far less than its parts.
+    diagonal; a small eigenvalue is a combination that shows far less than its parts. It is said of
+    the parameters that lose by it: those that are not well known, and would be with the others.
 
     Args:
         precision: information, or the inverse of a covariance.
@@ -272,7 +274,8 @@ def _weak(
         names: of them.
         tolerance: of weights that stand for whole numbers, which noise hides.
         inflation: error of a combination over what it were if it alone were estimated, at least.
-        min_change: relative change that hides in the noise, from which it is worth a sentence.
+        min_change: relative error of a parameter, from which it is worth a sentence.
+        surer: error of a combination over that of each of its parts, below which it is named.
     """
     used = np.isfinite(errors) & (errors > 0) & (np.diagonal(precision) > 0)
     if np.sum(used) < 2:
@@ -281,17 +284,31 @@ def _weak(
     scale = np.sqrt(np.diagonal(part))
     values, vectors = np.linalg.eigh(part / np.outer(scale, scale))
     relative = np.where(used, errors, 0.0) / np.where(theta != 0, np.abs(theta), np.inf)
+    covariance = np.zeros_like(precision)
+    covariance[np.ix_(used, used)] = np.linalg.pinv(part, hermitian=True)
+    variances, lone_variances = np.diagonal(covariance), np.zeros(len(theta))
+    lone_variances[used] = 1.0 / scale**2  # variances with the others known
+    inflated = (variances > inflation * lone_variances) & ((relative >= min_change) | (theta == 0))
+
+    def is_surer(slope: Float[np.ndarray, " np"]) -> bool:
+        parts = (slope**2 * variances)[slope != 0]
+        return bool(slope @ covariance @ slope < surer**2 * np.min(parts))
+
     sentences = []
     for vector in vectors.T[values * inflation**2 < 1.0]:
         direction = np.zeros(len(theta))
         direction[used] = vector / scale
-        involved, combinations = identifiable_combinations(
-            direction[:, None], theta, names, tolerance
-        )
-        worst = max(relative[names.index(name)] for name in involved)
-        if len(involved) < 2 or worst < min_change:
+        direction[~inflated] = 0.0
+        if np.sum(direction != 0) < 2:
             continue
-        sentence = f"{listed(involved)} can hardly be told apart, only to within {worst:.0%}"
+        involved, combinations = identifiable_combinations(
+            direction[:, None], theta, names, tolerance, is_surer
+        )
+        if len(involved) < 2:
+            continue
+        sizes = [relative[names.index(name)] for name in involved]
+        within = " to ".join(dict.fromkeys(f"{size:.0%}" for size in (min(sizes), max(sizes))))
+        sentence = f"{listed(involved)} can hardly be told apart, only to within {within}"
         if combinations:
             sentences.append(
                 f"{sentence}; {listed(combinations)} {is_or_are(len(combinations))} surer"

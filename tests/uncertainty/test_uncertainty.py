@@ -304,6 +304,30 @@ def test_what_noise_hides_is_told_with_what_is_surer():
     assert sentence.endswith("mass/force and drag/force are surer")
 
 
+def test_what_is_known_well_is_not_told_with_what_noise_hides():
+    """Mass and drag to 30 %, force to 0.5 %, all of them along one direction."""
+    theta = np.asarray(PLANT.theta)
+    names = PLANT.names
+    direction = theta * [0.005 if name == "force" else 0.3 for name in names]
+    covariance = np.outer(direction, direction) + np.diag((1e-4 * theta) ** 2)
+    (sentence,) = uncertainty(refined(covariance=covariance, information=None)).unclear
+    assert sentence.startswith("mass and drag can hardly be told apart, only to within 30%: a")
+    assert "force" not in sentence
+    direction = theta * [0.3 if name == "mass" else 0.005 for name in names]
+    covariance = np.outer(direction, direction) + np.diag((1e-4 * theta) ** 2)
+    assert not uncertainty(refined(covariance=covariance, information=None)).unclear
+
+
+def test_a_parameter_by_itself_is_no_surer_combination():
+    """Beside one that is told to 300 %, one to 12 % looked like a combination that stays."""
+    theta = np.asarray(PLANT.theta)
+    direction = theta * [{"mass": 0.12, "drag": 3.0}.get(name, 0.0) for name in PLANT.names]
+    covariance = np.outer(direction, direction) + np.diag((1e-3 * theta) ** 2)
+    (sentence,) = uncertainty(refined(covariance=covariance, information=None)).unclear
+    assert sentence.startswith("mass and drag can hardly be told apart, only to within 12% to 300%")
+    assert "surer" not in sentence
+
+
 def test_what_noise_hides_without_whole_numbers_is_told_in_weights():
     direction = np.asarray([1.0, 0.37, 0.0])
     covariance = np.outer(direction, direction) + 1e-6 * np.eye(3)

@@ -6,11 +6,11 @@ d is examined twice: as relative changes, whose small integers are exponents of 
 unscaled, whose small integers are factors of sums.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from fractions import Fraction
 
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Bool, Float, Int
 
 _MAX_EXPONENT = 3  # of a product, or factor of a sum: `_power` writes no other
 
@@ -20,6 +20,7 @@ def identifiable_combinations(
     theta: Float[np.ndarray, " np"],
     names: Sequence[str],
     tolerance: float,
+    accept: Callable[[Float[np.ndarray, " np"]], bool] | None = None,
 ) -> tuple[tuple[str, ...], tuple[str, ...]]:
     """Parameters that are not identifiable, and combinations of them that are.
 
@@ -28,6 +29,8 @@ def identifiable_combinations(
         theta: the parameters [their units].
         names: of the parameters.
         tolerance: by which a weight may differ from an integer.
+        accept: of the derivatives of a combination by θ, relative ones of a product, whether it is
+            worth naming; None: every one is.
 
     Returns:
         Names of the parameters that are not identifiable by themselves, and the combinations that
@@ -36,13 +39,24 @@ def identifiable_combinations(
     """
     is_involved = _is_involved(directions, theta)
     involved = tuple(name for name, flag in zip(names, is_involved, strict=True) if flag)
-    rows = directions[is_involved]
+    rows, place = directions[is_involved], np.flatnonzero(is_involved)
     forms = []
     if np.all(theta[is_involved] != 0):
-        forms.append(_invariants(rows / theta[is_involved][:, None], tolerance, involved, _product))
-    forms.append(_invariants(rows, tolerance, involved, _sum))
-    unique = [form for form in forms if form is not None]
-    return involved, unique[0] if len(unique) == 1 else ()
+        scale = theta[is_involved]
+        forms.append((_product, scale, _invariants(rows / scale[:, None], tolerance)))
+    forms.append((_sum, np.ones(len(place)), _invariants(rows, tolerance)))
+    unique = [(write, scale, weights) for write, scale, weights in forms if weights is not None]
+    if len(unique) != 1:
+        return involved, ()
+    ((write, scale, combinations),) = unique
+    texts = []
+    for weights in combinations:
+        slope = np.zeros(len(theta))
+        slope[place] = weights / scale
+        if accept is None or accept(slope):
+            terms = zip(involved, weights.tolist(), strict=True)
+            texts.append(write([(name, weight) for name, weight in terms if weight]))
+    return involved, tuple(texts)
 
 
 def format_direction(
@@ -83,11 +97,11 @@ def _is_involved(
 
 
 def _invariants(
-    directions: np.ndarray, tolerance: float, names: Sequence[str], write: object
-) -> tuple[str, ...] | None:
-    """Combinations that are constant along the directions; None without small integer weights."""
+    directions: Float[np.ndarray, "n k"], tolerance: float
+) -> list[Int[np.ndarray, " n"]] | None:
+    """Weights of combinations that are constant along the directions; None if no small integers."""
     rows, pivots = reduced(directions.T)
-    remaining = [column for column in range(len(names)) if column not in pivots]
+    remaining = [column for column in range(len(directions)) if column not in pivots]
     forms = []
     for column in remaining:
         fractions = [_fraction(float(value), tolerance) for value in rows[:, column]]
@@ -96,14 +110,14 @@ def _invariants(
         common = int(
             np.lcm.reduce([fraction.denominator for fraction in fractions if fraction is not None])
         )
-        exponents = {column: common}
+        weights = np.zeros(len(directions), int)
+        weights[column] = common
         for pivot, fraction in zip(pivots, fractions, strict=True):
-            exponents[pivot] = -int((fraction or Fraction(0)) * common)
-        if max(abs(exponent) for exponent in exponents.values()) > _MAX_EXPONENT:
+            weights[pivot] = -int((fraction or Fraction(0)) * common)
+        if np.max(np.abs(weights)) > _MAX_EXPONENT:
             return None
-        terms = [(names[j], exponents[j]) for j in sorted(exponents) if exponents[j]]
-        forms.append(write(terms))  # type: ignore[operator]
-    return tuple(forms)
+        forms.append(weights)
+    return forms
 
 
 def reduced(rows: Float[np.ndarray, "k n"]) -> tuple[Float[np.ndarray, "k n"], list[int]]:
