@@ -52,8 +52,8 @@ class _ByClass:
 
 @_ByClass
 def text(result: Any) -> str:
-    """A result as a text table; its `repr` if no table is registered for its class."""
-    return repr(result)
+    """A result as a text table; its class if no table is registered for it."""
+    return object.__repr__(result)
 
 
 @_ByClass
@@ -87,7 +87,14 @@ def findings(result: Any, status: Any) -> tuple[str, ...]:
 
 
 class Result:
-    """Base class of all results: they print, plot and save themselves, and become tables."""
+    """Base class of all results: they print, plot and save themselves, and become tables.
+
+    A result is equal to itself only: compare numbers, of a record its `content_hash`. Their `repr`
+    is the table too, as a notebook shows it.
+    """
+
+    def __repr__(self) -> str:
+        return text(self)
 
     def __str__(self) -> str:
         """A table of several lines."""

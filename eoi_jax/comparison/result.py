@@ -44,7 +44,7 @@ class Entry:
     first_seconds: float
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False, repr=False)
 class Comparison(Result):
     """Result of `compare`; prints itself as a table.
 

@@ -120,14 +120,20 @@ def multisine(
         f"must be (low, high) with 0 < low ≤ high < {nyquist:g} Hz, half the sampling frequency",
         (low, high),
     )
-    lines = np.rint(np.linspace(low, high, components) * duration)
-    check(
-        len(np.unique(lines)) == components and lines[0] >= 1,
-        "components",
-        f"must fit between {low:g} and {high:g} Hz at a spacing of {1 / duration:g} Hz",
-        components,
-        "Take fewer components, a wider band or a longer record.",
-    )
+    rule = f"must begin at 1/duration, {1 / duration:g} Hz, or above"
+    advice = "A lower frequency has no whole period in the record: begin there, or make it longer."
+    check(np.rint(low * duration) >= 1, "frequencies", rule, (low, high), advice)
+
+    def lines_of(count: int) -> TimeAxis:
+        return np.rint(np.linspace(low, high, count) * duration)
+
+    lines = lines_of(components)
+    if len(np.unique(lines)) < components:
+        most = int(np.rint(high * duration) - np.rint(low * duration)) + 1
+        fitting = next(n for n in range(most, 0, -1) if len(np.unique(lines_of(n))) == n)
+        rule = f"must fit between {low:g} and {high:g} Hz at a spacing of {1 / duration:g} Hz"
+        advice = f"Take {fitting}, a wider band or a longer record."
+        check(False, "components", rule, components, advice)
     phases = _draw(seed).uniform(0, 2 * np.pi, components)
     total = np.zeros_like(tau)
     for line, phase in zip(lines, phases, strict=True):  # N × n at once may not fit in memory

@@ -13,7 +13,7 @@ import numpy as np
 from jaxtyping import Float
 
 from eoi_jax._checks import RecordWarning, check, check_choice, counted, percent
-from eoi_jax._display import Result, text
+from eoi_jax._display import Result
 from eoi_jax.data.channel import Channel
 from eoi_jax.data.cleaning import SHORTEST
 from eoi_jax.data.clipping import saturations
@@ -70,7 +70,7 @@ class InspectionSettings:
 _SETTINGS = InspectionSettings()
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False, repr=False)
 class Inspection(Result):
     """Contents of a data file, with guesses of their roles.
 
@@ -133,9 +133,6 @@ class Inspection(Result):
                 "advice": self.advice,
             }
         )
-
-    def __repr__(self) -> str:
-        return text(self)
 
 
 @np.errstate(over="ignore", invalid="ignore")  # columns may hold numbers of any size

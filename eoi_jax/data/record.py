@@ -13,7 +13,7 @@ import numpy as np
 from jaxtyping import Float
 
 from eoi_jax._checks import RecordWarning, check, check_choice, check_positive, counted, warn_caller
-from eoi_jax._display import Result, text
+from eoi_jax._display import Result
 from eoi_jax._types import WHERE_SET, Inputs, Mask, OutputMask, Outputs, TimeAxis
 from eoi_jax.data.cleaning import (
     LONGEST_HELD,
@@ -679,9 +679,6 @@ class Record(Result):
         if self._is_slow or np.any(self.output_periods > self.sample_period):
             arrays.append(self.output_periods)
         return digest(settings, arrays)
-
-    def __repr__(self) -> str:
-        return text(self)
 
     # -- construction ---------------------------------------------------------------------
 

@@ -110,7 +110,7 @@ class Line:
     share: float
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False, repr=False)
 class Diagnosis(Result):
     """The analysis of the residual of an estimate.
 

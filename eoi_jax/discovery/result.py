@@ -166,7 +166,7 @@ class Texts:
     at_input: tuple[str, ...] = ()
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False, repr=False)
 class Discovery(Result):
     """What a model lacks, and how much the model improves by adding it.
 

@@ -85,7 +85,7 @@ class SignalSettings:
     min_weight: float = 0.5  # share of the filter's memory that must count, at a sample
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False, repr=False)
 class Identification(Result):
     """The estimate of `identify`, with its iterations and its uncertainty.
 

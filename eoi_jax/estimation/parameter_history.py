@@ -32,7 +32,7 @@ from eoi_jax.estimation.regression.sample_rows import SampleRows, normal_equatio
 from eoi_jax.models.plant import Plant
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False, repr=False)
 class ParameterHistory(Result):
     """Parameters over time; the records follow each other in the order of `identify`.
 

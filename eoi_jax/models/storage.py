@@ -90,9 +90,12 @@ def save(result: Any, path: str | Path) -> None:
         path: of the file, usually with the suffix ``.npz``.
 
     Raises:
-        ValueError: the folder cannot be written.
+        ValueError: the suffix ``.json``, or a folder that cannot be written.
     """
     path = Path(path)
+    rule = "must not end in .json, where `load` expects a model"
+    advice = "Take .npz for a result; `export` writes its model as JSON."
+    check(path.suffix != ".json", "path", rule, path, advice)
     arrays = _Arrays()
     tree = {
         "format": _FORMAT,

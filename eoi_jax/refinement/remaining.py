@@ -47,7 +47,7 @@ class Trial:
     held_out: Validation
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False, repr=False)
 class Remaining(Result):
     """What is left of a refined model's error, and what would explain it.
 

@@ -44,7 +44,7 @@ class Start:
         return np.concatenate([self.y[list(rows), list(columns)], self.z, past])
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False, repr=False)
 class Refinement(Result):
     """Output-error estimate, and the point it started from.
 

@@ -66,7 +66,7 @@ PerOutput = Float[np.ndarray, " ny"]
 Samples = Float[np.ndarray, "time ny"]
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False, repr=False)
 class Validation(Result):
     """Free-run errors, each of shape (ny,), over the scored samples of all records.
 

@@ -30,7 +30,7 @@ from eoi_jax.refinement.result import Refinement
 from eoi_jax.uncertainty.uncertainty import uncertainty
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False, repr=False)
 class Profile(Result):
     """The profile of one parameter.
 

@@ -32,7 +32,7 @@ from eoi_jax.models.plant import Plant
 from eoi_jax.refinement.result import Refinement
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False, repr=False)
 class Uncertainty(Result):
     """Estimates with their covariance.
 

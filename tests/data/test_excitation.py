@@ -77,7 +77,11 @@ def test_random_steps_stay_in_their_range():
         (lambda: excitation.multisine(TIME, 1, (5, 1), 5, 0), "`frequencies` must be"),
         (lambda: excitation.multisine(TIME, 1, (1, 5), 0, 0), "`components` must be an integer"),
         (lambda: excitation.multisine(TIME, 1, (1, 2), 50, 0), "`components` must fit .* 0.1 Hz"),
-        (lambda: excitation.multisine(TIME, 1, (0.02, 3), 3, 0), "`components` must fit between"),
+        (lambda: excitation.multisine(TIME, 1, (1, 2), 50, 0), "got 50. Take 11, a wider band or"),
+        (
+            lambda: excitation.multisine(TIME, 1, (0.02, 3), 3, 0),
+            r"`frequencies` must begin at 1/duration, 0.1 Hz, or above, got \(0.02, 3.0\). A lower",
+        ),
         (lambda: excitation.steps(TIME, [], 1), "`levels` must be a list of finite numbers"),
         (lambda: excitation.steps(TIME, [1, np.nan], 1), "`levels` must be a list of finite"),
         (lambda: excitation.steps(TIME, [1], 0), "`holding_time` must be positive"),

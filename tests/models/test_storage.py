@@ -41,6 +41,25 @@ def result(record):
     return eoi.identify(eoi.plants.mass_spring_damper(), record, passes=3)
 
 
+def test_a_result_is_no_json_file(result, tmp_path):
+    rule = r"`path` must not end in \.json, where `load` expects a model, got .*Take \.npz for a"
+    with pytest.raises(ValueError, match=rule):
+        result.save(tmp_path / "run.json")
+    assert not list(tmp_path.iterdir())
+
+
+def test_a_result_is_equal_to_itself_only_and_shows_its_table(result, record):
+    again = eoi.identify(eoi.plants.mass_spring_damper(), record, passes=3)
+    assert result == result
+    assert result != again
+    assert len({result, again}) == 2
+    assert repr(result) == str(result)
+    judged = eoi.validate(result, record)
+    assert repr(judged) == str(judged)
+    assert judged == judged
+    assert "array(" not in repr((result, judged))
+
+
 def test_a_loaded_result_has_the_same_numbers_and_prints_the_same(result, tmp_path):
     result.save(tmp_path / "run.npz")
     back = eoi.load(tmp_path / "run.npz")
