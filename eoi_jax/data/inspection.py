@@ -31,7 +31,7 @@ from eoi_jax.data.overflow import without_codes
 from eoi_jax.data.readers.delimited import first_word
 from eoi_jax.data.readers.limits import MAX_GIGABYTES
 from eoi_jax.data.readers.long_form import found_clock, mixed_tags
-from eoi_jax.data.readers.read_record import read_table
+from eoi_jax.data.readers.read_record import read_table, words_among_numbers
 from eoi_jax.data.readers.table import Table
 from eoi_jax.data.readers.words import is_grouped
 from eoi_jax.data.record import Record
@@ -165,12 +165,13 @@ def inspect(
             is named in two roles.
     """
     path = Path(path)
-    table, unstamped = stamped_rows(oldest_first(read_table(path, max_gigabytes, sheet)))
+    stored = read_table(path, max_gigabytes, sheet)
+    table, unstamped = stamped_rows(oldest_first(stored))
     samples = _samples(path, table)
     codes: list[str] = []
     numbers = _numbers(table, samples, codes)
     named = {"time": None if time is None else [time], "input": inputs, "output": outputs}
-    _check_named(named, numbers)
+    _check_named(named, numbers, table)
     clock = found_clock(table, numbers, time)
     if clock.column is None:
         clock = _declared_period(table, clock)
@@ -179,8 +180,7 @@ def inspect(
         for key, values in table.columns.items()
         if len(values) == samples
     ]
-    channels = _assign_roles(channels, table, clock, numbers)
-    channels = _with_named_roles(channels, named)
+    channels = _with_named_roles(_assign_roles(channels, table, clock, numbers), named)
     left_out = [
         f"`{key}` of {counted(len(values), 'value')}"
         for key, values in table.columns.items()
@@ -190,7 +190,10 @@ def inspect(
     advice = daylight_saving(numbers[clock.column]) if clock.column and local else []
     advice += mixed_tags(table, clock.column)
     advice += [f"`{at.name}` is no signal: {RATING}." for at in channels if at.why == RATING]
-    advice = (*unstamped, *codes, *advice, *_advice(channels, clock, samples))
+    broken = words_among_numbers(path, stored)
+    if clock.sample_period is None and not broken:
+        advice.append("No column looks like time: give sample_period, the seconds between samples.")
+    advice = (*unstamped, *broken, *codes, *advice, *_advice(channels, clock, samples))
     return Inspection(
         path, samples, clock, tuple(channels), (*left_out, *table.objects.values()),
         (*table.notes, *_unit_notes(channels, table)), advice, numbers,
@@ -207,13 +210,17 @@ def _unit_notes(channels: Sequence[Channel], table: Table) -> list[str]:
 
 
 def _check_named(
-    named: Mapping[str, Sequence[str] | None], numbers: Mapping[str, np.ndarray]
+    named: Mapping[str, Sequence[str] | None], numbers: Mapping[str, np.ndarray], table: Table
 ) -> None:
     """Columns whose roles the caller knows must be there, each in one role."""
     roles: dict[str, str] = {}
     for role, names in named.items():
         field = "time" if role == "time" else f"{role}s"
         for name in names or ():
+            if name in table.columns and name not in numbers:
+                got = f"`{name}` with {first_word(table.columns[name].tolist())!r}"
+                advice = f"Choose from {', '.join(numbers)}, or leave the words out of its cells."
+                check(False, field, "must be columns of numbers", got, advice)
             check_choice(field, name, tuple(numbers))
             rule = "must name columns without another role"
             check(name not in roles, field, rule, f"{name}, also {roles.get(name, '')}")
@@ -492,8 +499,6 @@ def _advice(channels: Sequence[Channel], clock: Clock, samples: int) -> list[str
         for role in ("input", "output")
     }
     advice = []
-    if clock.sample_period is None:
-        advice.append("No column looks like time: give sample_period, the seconds between samples.")
     count, first = clock.backwards
     if count:
         advice.append(

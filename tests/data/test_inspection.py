@@ -774,3 +774,34 @@ def test_codes_of_quality_are_known_by_their_value_and_a_status_may_be_an_input(
         status = np.where((T > 2.0) & (T < 2.5), 0.0, good)
         columns = {"t": T, "u": U, "speed": Y, "pump status": status}
         assert inspect(written(tmp_path / "run.csv", **columns)).inputs == inputs
+
+
+def lines_of_a_logger():
+    return [f"{10 * k},{k % 7},{np.sin(0.05 * k):.4f}" for k in range(200)]
+
+
+def test_a_word_in_a_line_of_numbers_is_told_with_its_line(tmp_path):
+    lines = ["t_ms,u,y", *lines_of_a_logger()]
+    lines[60] = "Encoder overflow!,,"
+    (tmp_path / "run.csv").write_text("\n".join(lines))
+    advice = " ".join(inspect(tmp_path / "run.csv").advice)
+    assert (
+        "`t_ms` holds numbers but for 'Encoder overflow!' in line 61: empty the cell, or" in advice
+    )
+    assert "sample_period" not in advice
+
+
+def test_a_line_with_too_many_cells_is_told_with_its_number(tmp_path):
+    lines = ["t_ms,u,y", *lines_of_a_logger()]
+    lines[60] += lines[61]
+    (tmp_path / "run.csv").write_text("\n".join(lines))
+    with pytest.raises(ValueError, match="line 61 has 5 cells, the lines before it 3; where two"):
+        inspect(tmp_path / "run.csv")
+
+
+def test_an_input_of_text_is_told_with_an_example(tmp_path):
+    lines = [f"{k} PWM=70 {np.sin(0.05 * k):.4f}" for k in range(200)]
+    (tmp_path / "run.txt").write_text("\n".join(lines))
+    message = "`inputs` must be columns of numbers, got `1` with 'PWM=70'. Choose from 0, 2, or"
+    with pytest.raises(ValueError, match=message):
+        inspect(tmp_path / "run.txt", inputs=["1"], outputs=["2"])

@@ -139,6 +139,42 @@ def _head(stream: Iterable[str], lines: int = 200) -> list[str]:
     return list(islice(stream, lines))
 
 
+def _frame(source: Any, layout: _Layout, encoding: str) -> Any:
+    """All cells as a `pandas.DataFrame`."""
+    import pandas as pd  # heavy; only files need it
+
+    with warnings.catch_warnings():
+        warnings.simplefilter(
+            "ignore", pd.errors.DtypeWarning
+        )  # such a column is named if asked for
+        try:
+            return pd.read_csv(
+                source,
+                header=None,
+                skiprows=layout.start,
+                sep=layout.separator or r"\s+",
+                skipinitialspace=True,
+                decimal=layout.decimal,
+                encoding=encoding,
+                encoding_errors="replace",
+                na_values=list(_NO_VALUE),
+            )
+        except pd.errors.ParserError as failure:
+            raise _too_long(failure) from None
+
+
+def _too_long(failure: ValueError) -> ValueError:
+    """What the parser says, of a line with too many cells with what to do."""
+    match = re.search(r"Expected (\d+) fields in line (\d+), saw (\d+)", str(failure))
+    if match is None:
+        return failure
+    usual, line, cells = match.groups()
+    return ValueError(
+        f"line {line} has {cells} cells, the lines before it {usual}; where two lines have run "
+        "together, or a text holds the separator, mend that line or leave it out"
+    )
+
+
 def _encoding(first: bytes) -> str:
     if first.startswith((b"\xff\xfe", b"\xfe\xff")):
         return "utf-16"
@@ -154,24 +190,8 @@ def _encoding(first: bytes) -> str:
 
 
 def _read(source: Any, lines: Sequence[str], encoding: str, separator: str | None = None) -> Table:
-    import pandas as pd  # heavy; only files need it
-
     layout = _layout([line.rstrip("\r\n") for line in lines], separator)
-    with warnings.catch_warnings():
-        warnings.simplefilter(
-            "ignore", pd.errors.DtypeWarning
-        )  # such a column is named if asked for
-        frame = pd.read_csv(
-            source,
-            header=None,
-            skiprows=layout.start,
-            sep=layout.separator or r"\s+",
-            skipinitialspace=True,
-            decimal=layout.decimal,
-            encoding=encoding,
-            encoding_errors="replace",
-            na_values=list(_NO_VALUE),
-        )
+    frame = _frame(source, layout, encoding)
     notes = list(layout.notes)
     filled = np.flatnonzero(frame.notna().any(axis=1).to_numpy())
     empty = len(frame) - int(filled[-1]) - 1 if len(filled) else 0

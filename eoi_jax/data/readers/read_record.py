@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from eoi_jax._checks import check, check_choice, check_kind, check_positive, printable
+from eoi_jax._checks import check, check_choice, check_kind, check_positive, counted, printable
 from eoi_jax.data.column_names import in_other_units
 from eoi_jax.data.input_holds import HoldArgument, hold_text, read_hold
 from eoi_jax.data.readers.archive import read_arrays
@@ -304,18 +304,45 @@ def _numeric(path: Path, key: str, values: np.ndarray) -> np.ndarray:
     rule = f"must be a real column of {path}"
     check(values.dtype.kind != "c", key, rule, "complex numbers", advice)
     for row, value in enumerate(values.tolist()):
-        try:
-            float("nan" if value is None else value)
-        except (TypeError, ValueError):
-            advice = (
-                "Where it stands for no value, or for a line that is no sample, empty the cell "
-            )
-            advice += "or leave the line out."
-            if is_grouped(str(value)):
-                advice = "Write numbers without thousands separators."
-            rule = f"must be a numeric column of {path}"
-            check(False, key, rule, f"{value!r} in {_place(path, row)}", advice)
+        if _is_numeric(value):
+            continue
+        advice = "Where it stands for no value, or for a line that is no sample, empty the cell "
+        advice += "or leave the line out."
+        if is_grouped(str(value)):
+            advice = "Write numbers without thousands separators."
+        rule = f"must be a numeric column of {path}"
+        check(False, key, rule, f"{value!r} in {_place(path, row)}", advice)
     return np.asarray([np.nan if value is None else value for value in values], dtype=np.float64)
+
+
+def words_among_numbers(path: Path, table: Table, share: float = 0.1) -> list[str]:
+    """Sentences on columns of numbers in which few cells, up to this share, hold a word.
+
+    Args:
+        path: of the file.
+        table: as it was read.
+        share: of the cells.
+    """
+    sentences = []
+    for key, column in table.columns.items():
+        if column.dtype.kind != "O":
+            continue
+        rows = [row for row, value in enumerate(column.tolist()) if not _is_numeric(value)]
+        if 0 < len(rows) <= share * len(column):
+            more = f" and {counted(len(rows) - 1, 'cell')} more" if len(rows) > 1 else ""
+            sentences.append(
+                f"`{key}` holds numbers but for {column[rows[0]]!r} in {_place(path, rows[0])}"
+                f"{more}: empty the cell, or leave the line out."
+            )
+    return sentences
+
+
+def _is_numeric(value: Any) -> bool:
+    try:
+        float("nan" if value is None else value)
+    except (TypeError, ValueError):
+        return False
+    return True
 
 
 def _place(path: Path, row: int) -> str:
