@@ -1,5 +1,6 @@
 """The folder of a run: its records and model from a config, its files, its model from the files."""
 
+import csv
 import errno
 import json
 import re
@@ -11,6 +12,8 @@ from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from typing import Any
+
+import numpy as np
 
 from eoi_jax._atomic import make_draft, sweep_up, tidied, write_files
 from eoi_jax._checks import RecordWarning, check
@@ -303,6 +306,9 @@ def write_free_runs(
 ) -> None:
     """``<name>.json``, ``<name>.txt``, and for each record ``<name>.png``, ``correlation.png``.
 
+    Of a single model also ``prediction.csv``: time [s] and outputs of its free run at all samples,
+    measured or not; empty where an input is unknown.
+
     Args:
         folder: an empty folder.
         name: of the command.
@@ -319,6 +325,18 @@ def write_free_runs(
         save_figure(folder / f"{name}{suffix}.png", partial(time_series_figure, series))
         correlation = partial(residual_correlation_figure, content)
         save_figure(folder / f"correlation{suffix}.png", correlation)
+        if len(runs) == 1:
+            _write_prediction(folder / f"prediction{suffix}.csv", runs[0][1], i)
+
+
+def _write_prediction(path: Path, result: Validation, record: int) -> None:
+    prediction = result.predictions[record]
+    pairs = zip(result.outputs, result.units, strict=True)
+    names = ["time [s]", *(f"{name} [{unit}]" if unit else name for name, unit in pairs)]
+    rows = np.column_stack([prediction.time, prediction.known_outputs])
+    lines = (["" if np.isnan(value) else f"{value:.10g}" for value in row] for row in rows)
+    with path.open("w", encoding="utf-8", errors="backslashreplace", newline="") as file:
+        csv.writer(file).writerows([names, *lines])
 
 
 def _write_json(path: Path, summary: dict[str, Any]) -> None:

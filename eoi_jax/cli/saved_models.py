@@ -69,7 +69,7 @@ def validate(
         full_runs = free_runs(result, records, controller=controller)
         windows = _in_windows(result, records, full_runs, controller)
     rows = largest_correlations(full_runs)
-    notes = _fitted_notes([(run, result)], records)
+    notes = [*_fitted_notes([(run, result)], records), *_predicted_notes(records)]
     text = judgement_text(f"{run}: {plant.name}", full_runs, windows, rows)
     text = "\n\n".join([text, *(f"Note: {note}" for note in notes)])
     summary = validation_summary(settings.name, run, full_runs, windows, rows, notes)
@@ -77,6 +77,18 @@ def validate(
     parts = ("validate", [("free run", full_runs)], summary, text)
     write_folder(folder, lambda draft: run_folder.write_free_runs(draft, *parts))
     return Outcome(summary, text, folder)
+
+
+def _predicted_notes(records: Sequence[Record]) -> list[str]:
+    """How many samples of a record, before or behind all measured ones, are predicted only."""
+    notes = []
+    for record in records:
+        (measured,) = np.nonzero(np.any(record.output_valid, axis=1))
+        count = len(record) - (int(np.ptp(measured)) + 1 if len(measured) else 0)
+        if count:
+            share = f"{count} of {len(record)} samples of {record.name} are predicted only"
+            notes.append(f"{share}, as no output is measured there: see prediction.csv.")
+    return notes
 
 
 def compare(

@@ -119,7 +119,29 @@ def test_a_saved_model_is_judged_as_by_the_function(folder):
     assert found["windows"]["window"] == pytest.approx(4.0)
     assert found["windows"]["rmse"]["level"] == pytest.approx(NOISE, rel=0.3)
     files = {path.name for path in (folder / "runs" / "good.validate").iterdir()}
-    assert files == {"validate.json", "validate.txt", "validate.png", "correlation.png"}
+    assert files == {
+        "validate.json",
+        "validate.txt",
+        "validate.png",
+        "correlation.png",
+        "prediction.csv",
+    }
+
+
+def test_a_file_that_is_measured_at_its_beginning_is_predicted_to_its_end(folder, tmp_path):
+    """The inputs of tomorrow, with the outputs of the first samples."""
+    header, *lines = (folder / "new.csv").read_text().splitlines()
+    lines[200:] = [line.rsplit(",", 1)[0] + "," for line in lines[200:]]
+    (tmp_path / "tomorrow.csv").write_text("\n".join([header, *lines]))
+    found = answer("validate", "runs/good", tmp_path / "tomorrow.csv", "--output", tmp_path)
+    (note,) = [note for note in found["notes"] if "predicted only" in note]
+    assert note.startswith("1800 of 2000 samples of tomorrow are predicted only")
+    rows = (tmp_path / "good.validate" / "prediction.csv").read_text().splitlines()
+    assert rows[0] == "time [s],level [m]"
+    table = np.array([row.split(",") for row in rows[1:]], float)
+    measured = np.loadtxt(folder / "new.csv", delimiter=",", skiprows=1)
+    np.testing.assert_allclose(table[:, 0], measured[:, 0], atol=1e-9)
+    np.testing.assert_allclose(table[:, 1], 0.01 * measured[:, 2], atol=0.1)
 
 
 def test_a_complete_model_leaves_white_errors_and_a_wrong_one_does_not():
