@@ -7,6 +7,8 @@ from typing import Any
 import msgspec
 
 from eoi_jax.cli.run_folder import Job
+from eoi_jax.data.holds import made_alike
+from eoi_jax.data.record import Record
 from eoi_jax.discovery.result import Added, Discovery, PartialExplanation
 from eoi_jax.estimation.identify import Identification
 from eoi_jax.models.equations.display import equation_latex, equation_lines, equation_text
@@ -51,7 +53,7 @@ def identification_summary(
         "drifts": [_fields(drift) for drift in result.history.drifts] if result.history else [],
         "validation": None if validation is None else _errors(validation),
     }
-    return json_values({**summary, **_provenance(job)})
+    return json_values({**summary, **_provenance(job, result.records)})
 
 
 def discovery_summary(job: Job, result: Discovery) -> dict[str, Any]:
@@ -96,7 +98,7 @@ def discovery_summary(job: Job, result: Discovery) -> dict[str, Any]:
         "engine": _fields(result.engine),
         "common_factors": [_fields(factor) for factor in result.common_factors],
     }
-    return json_values({**summary, **_provenance(job)})
+    return json_values({**summary, **_provenance(job, result.found.records)})
 
 
 def refinement_summary(
@@ -140,7 +142,7 @@ def refinement_summary(
             for name, validation in (("before", initial_run), ("refined", refined_run))
         },
     }
-    return json_values({**summary, **_provenance(job)})
+    return json_values({**summary, **_provenance(job, result.records)})
 
 
 def _uncertainties(estimate: Uncertainty) -> dict[str, Any]:
@@ -356,12 +358,17 @@ def _errors(validation: Validation) -> dict[str, Any]:
     }
 
 
-def _provenance(job: Job) -> dict[str, Any]:
-    """The data, the versions and the config of the results."""
+def _provenance(job: Job, used: Sequence[Record] = ()) -> dict[str, Any]:
+    """The data, the versions and the config of the results.
+
+    Args:
+        job: with the records as they were read.
+        used: those of the fit, with the hold that it has found; none: as they were read.
+    """
+    kinds = {"records": job.records, "held_out_records": job.held_out, "test_records": job.test}
+    alike = {key: made_alike(records, job.records, used) for key, records in kinds.items()}
     return {
-        "records": [describe_record(record) for record in job.records],
-        "held_out_records": [describe_record(record) for record in job.held_out],
-        "test_records": [describe_record(record) for record in job.test],
+        **{key: [describe_record(record) for record in records] for key, records in alike.items()},
         "config": msgspec.to_builtins(job.settings),
         "versions": versions(),
     }

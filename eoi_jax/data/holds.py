@@ -47,6 +47,8 @@ class HoldSettings:
         evidence: twice the gain in log-likelihood from which on a skew is found, or the hold that
             goes with it is another one, or an input has another hold than the others: 3.5
             standard deviations.
+        numerical: share of the highest derivative, as of the default sub-steps at the cut-off,
+            below which an injection is an error of the discretisation.
     """
 
     passes: int = 4
@@ -57,6 +59,7 @@ class HoldSettings:
     trial_skews: tuple[float, ...] = (0.5, 0.1)
     least_skew: float = 0.05
     evidence: float = 12.0
+    numerical: float = 2.4e-5
 
 
 SETTINGS = HoldSettings()
@@ -91,8 +94,8 @@ def moving_inputs(records: Sequence[Record]) -> tuple[int, ...]:
 
 
 def _moves(record: Record, j: int) -> bool:
-    known = record.inputs[record.input_valid, j]
-    return bool(np.any(known != known[0])) if known.size else False
+    samples = record.inputs[record.input_valid, j]
+    return bool(np.any(samples != samples[0])) if samples.size else False
 
 
 def with_hold(
@@ -177,10 +180,17 @@ def evidence(quantity: str, values: Mapping[Hold, float], best: Hold) -> tuple[s
     """
     if not 0.0 < values[best] < float("inf"):
         return ()
-    ratios = {hold: values[hold] / values[best] for hold in HOLDS if hold in values}
-    texts = (f"{ratio:.3g} times as large with {hold}" for hold, ratio in ratios.items()
-              if hold != best)  # fmt: skip
-    return (f"hold {best}: {quantity} is {', '.join(texts)}",)
+    ratios = {
+        hold: values[hold] / values[best] for hold in HOLDS if hold in values and hold != best
+    }
+    return (f"hold {best}: {quantity} is {_ratios_text(ratios)}",)
+
+
+def _ratios_text(ratios: Mapping[str, float]) -> str:
+    """Values with other holds over that with the best one, by hold."""
+    if all(abs(np.log(ratio)) < SETTINGS.least_fall for ratio in ratios.values()):
+        return f"the same within {100 * SETTINGS.least_fall:g} % with the others"
+    return ", ".join(f"{ratio:.3g} times as large with {hold}" for hold, ratio in ratios.items())
 
 
 @dataclass(frozen=True)
@@ -220,10 +230,7 @@ class HoldChoice:
             ratios = {hold: value / smallest for hold, value in alternatives.items()}
             if not ratios:
                 continue
-            text = ", ".join(f"{ratio:.3g} times as large with {hold}"
-                             for hold, ratio in ratios.items())  # fmt: skip
-            if all(abs(np.log(ratio)) < SETTINGS.least_fall for ratio in ratios.values()):
-                text = f"the same within {100 * SETTINGS.least_fall:g} % with the others"
+            text = _ratios_text(ratios)
             sentences.append(f"hold {word} for {self.names[j]}: {quantity} is {text}")
         if inputs is not None or (len(self.names) > 1 and sentences):
             return tuple(sentences)

@@ -39,6 +39,7 @@ from eoi_jax.data.cleaning import (
 )
 from eoi_jax.data.digest import digest
 from eoi_jax.data.input_holds import (
+    HOLD_TAKEN,
     Hold,
     HoldArgument,
     declared_or_suggested,
@@ -319,8 +320,9 @@ class Record(Result):
             return self
         new = self._changed(None)
         middle = self._middle if hold == self.hold else None
-        new._assign({"hold": hold, "hold_declared": True, "_middle": middle, "_logged_hold": None})
-        return new
+        notes = tuple(note for note in self.notes if not note.startswith(HOLD_TAKEN))
+        made = {"_middle": middle, "_logged_hold": None, "notes": notes}
+        return new._assign({"hold": hold, "hold_declared": True, **made})
 
     def with_delayed_inputs(self, delays: Any) -> "Record":
         """The same samples with inputs that act later than they were logged.

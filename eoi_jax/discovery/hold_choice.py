@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Bool
 
 from eoi_jax.data.holds import SETTINGS, HoldChoice, undeclared_hold, with_hold
 from eoi_jax.data.input_holds import Hold, held_inputs, hold_of_each, hold_text, shared
@@ -18,7 +18,7 @@ from eoi_jax.discovery.judge import mean_error
 from eoi_jax.discovery.remarks import HoldNote
 from eoi_jax.discovery.result import Discovery, PartialExplanation
 from eoi_jax.discovery.rules import RULES
-from eoi_jax.estimation.hold import HoldIndices, Skew, best_skew
+from eoi_jax.estimation.hold import HoldIndices, Skew, best_skew, numerical_power
 from eoi_jax.estimation.identify import Identification, declared_index, estimate
 from eoi_jax.estimation.preparation import prepare_records
 from eoi_jax.models.augmented import Placed
@@ -315,22 +315,22 @@ def _refitted(answer: Discovery, records: Records, indices: HoldIndices) -> Iden
 def _powers(fits: Sequence[Identification]) -> list[float]:
     """Power of the injection of each fit, on samples that all of them score.
 
-    Geometric mean over the outputs; infinite without an estimate. Indices count each fit's own
-    samples: behind a gap those of a plant with a lag begin later.
+    Geometric mean over the outputs, not below `numerical_power`; infinite without an estimate.
+    Indices count each fit's own samples: behind a gap those of a plant with a lag begin later.
     """
     good = [fit for fit in fits if fit.status.ok]
     if not good:
         return [float("inf")] * len(fits)
-    injections = [np.concatenate(fit.injection) for fit in good]
-    common = np.all([np.isfinite(injection) for injection in injections], axis=0)
-    values = iter([_power(injection, common) for injection in injections])
+    common = np.all([np.isfinite(np.concatenate(fit.injection)) for fit in good], axis=0)
+    values = iter([_power(fit, common) for fit in good])
     return [next(values) if fit.status.ok else float("inf") for fit in fits]
 
 
-def _power(
-    injection: Float[np.ndarray, "samples ny"], common: Bool[np.ndarray, "samples ny"]
-) -> float:
-    means = [np.mean(injection[use, j] ** 2) for j, use in enumerate(common.T) if np.any(use)]
+def _power(fit: Identification, common: Bool[np.ndarray, "samples ny"]) -> float:
+    injection = np.concatenate(fit.injection)
+    least = numerical_power(fit.plant, fit.index[fit.best_pass], fit.unexplained)
+    means = [max(np.mean(injection[use, j] ** 2), least[j])
+             for j, use in enumerate(common.T) if np.any(use)]  # fmt: skip
     return float(np.exp(np.mean(np.log(np.maximum(means, 1e-300))))) if means else float("inf")
 
 

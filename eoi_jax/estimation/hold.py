@@ -234,6 +234,41 @@ def channel_skew(
     return Skew(hold, delays, smallest, without / smallest)
 
 
+def numerical_power(
+    plant: Plant, index: Float[np.ndarray, " ny"], unexplained: Float[np.ndarray, " ny"]
+) -> Float[np.ndarray, " ny"]:
+    """Power of the injection below which it is an error of the discretisation, shape (ny,).
+
+    Records without noise come down to it, and of two holds its ratio tells nothing: the inputs may
+    change in steps alone that do not count, as at rest. Outputs of relative degree 0, whose samples
+    are compared as they are, have none.
+
+    Args:
+        plant: that was fitted.
+        index: of a fit, each output.
+        unexplained: rms of its injection over that of the observed y^(r).
+    """
+    observed = np.zeros(len(index))
+    is_derivative = (unexplained > 0.0) & (np.asarray(plant.degrees) > 0)
+    np.divide(index, unexplained**2, observed, where=is_derivative)
+    return SETTINGS.numerical**2 * observed
+
+
+def resolved_index(
+    plant: Plant, index: Float[np.ndarray, " ny"], unexplained: Float[np.ndarray, " ny"]
+) -> float:
+    """Geometric mean over the outputs of the index, or of `numerical_power` where that is larger.
+
+    Arguments are those of `numerical_power`.
+    """
+    return geometric_mean(np.maximum(index, numerical_power(plant, index, unexplained)))
+
+
+def geometric_mean(index: Float[np.ndarray, " ny"]) -> float:
+    """Over the outputs."""
+    return float(np.exp(np.mean(np.log(np.maximum(index, 1e-300)))))
+
+
 def decided(
     plant: Plant, records: Sequence[Record], index_of: IndexOf, lowpass: LowPass | None = None
 ) -> tuple[tuple[Record, ...], tuple[str, ...]]:

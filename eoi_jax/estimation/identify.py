@@ -32,7 +32,7 @@ from eoi_jax.estimation.defaults import (
     short_record_notes,
 )
 from eoi_jax.estimation.engines.single import OnePass, single_pass
-from eoi_jax.estimation.hold import decided
+from eoi_jax.estimation.hold import decided, geometric_mean, resolved_index
 from eoi_jax.estimation.instrumental_variables import (
     InstrumentalEstimate,
     correct_bias,
@@ -265,20 +265,19 @@ def declared_index(plant: Plant, prepared: PreparedRecords, passes: int) -> floa
         if not (further.status.ok and mean_index(further) < mean_index(fit)):
             break
         fit = further
-    return mean_index(fit) if fit.status.fits else np.inf
+    smallest = resolved_index(plant, fit.index[fit.best_pass], fit.unexplained)
+    return smallest if fit.status.fits else np.inf
 
 
 def _falling(index: Float[np.ndarray, "passes ny"]) -> bool:
     """Whether the last pass has lowered the index by more than holds must differ by."""
-    if len(index) < 2:
-        return False
-    last, before = (float(np.mean(np.log(np.maximum(row, 1e-300)))) for row in index[:-3:-1])
-    return bool(last < before + np.log1p(-HOLD_SETTINGS.least_fall))
+    share = 1.0 - HOLD_SETTINGS.least_fall
+    return len(index) > 1 and geometric_mean(index[-1]) < share * geometric_mean(index[-2])
 
 
 def mean_index(fit: Identification) -> float:
     """Geometric mean over the outputs of the index of the best pass."""
-    return float(np.exp(np.mean(np.log(np.maximum(fit.index[fit.best_pass], 1e-300)))))
+    return geometric_mean(fit.index[fit.best_pass])
 
 
 BiasCorrection = Callable[

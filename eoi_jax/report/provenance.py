@@ -23,7 +23,7 @@ def versions() -> dict[str, str]:
 
 
 def describe_record(record: Record) -> dict[str, Any]:
-    """Name, size and hash of the data of a record, and what was changed in it.
+    """Name, size, hold and hash of the data of a record, and what was changed in it.
 
     Args:
         record: any.
@@ -32,6 +32,7 @@ def describe_record(record: Record) -> dict[str, Any]:
         "name": record.name,
         "samples": len(record.time),
         "sample_period": record.sample_period,
+        "hold": record.logged_hold,
         "hash": record.data_hash,
         "notes": record.notes,
     }

@@ -82,7 +82,7 @@ def simulate(
         name: name of the record.
 
     Returns:
-        Record with `time`, `inputs` and the simulated outputs.
+        Record with `time`, `inputs` and the simulated outputs. It declares the hold that was used.
 
     Raises:
         ValueError: a wrong shape, an unknown output, a grid that is not uniform, dry friction with
@@ -134,7 +134,7 @@ def simulate(
         input_names=plant.inputs,
         output_names=plant.outputs,
         units={key: plant.units[key] for key in plant.inputs + plant.outputs if key in plant.units},
-        hold=hold,
+        hold=used,
     )
 
 

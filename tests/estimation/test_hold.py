@@ -2,11 +2,13 @@
 
 import numpy as np
 import pytest
+from report_runs import job
 from scipy.integrate import solve_ivp
 from scipy.linalg import expm
 
 import eoi_jax as eoi
-from eoi_jax.data.holds import best_hold, evidence, undeclared_hold, with_hold
+from eoi_jax.cli.summary import identification_summary
+from eoi_jax.data.holds import SETTINGS, best_hold, evidence, undeclared_hold, with_hold
 
 PERIOD = 0.05
 TRUTH = {"k": 40.0, "c": 1.5, "g": 30.0}
@@ -124,6 +126,31 @@ def test_a_hidden_effect_is_named_though_it_hides_the_hold():
     assert found.effects == ("cubic_stiffness",)
     assert found.plant.parameters["cubic_stiffness"] == pytest.approx(30.0, rel=0.05)
     assert found.notes[0].startswith("hold zero: the index of the final model is ")
+
+
+def without_noise() -> eoi.Record:
+    """A pendulum whose input jumps while dry friction holds it, in steps that do not count."""
+    rig = eoi.plants.pendulum().with_parameters({"a": 81.0, "b": 1.7, "c": 0.3, "d": 99.0})
+    time = 1e-3 * np.arange(22_000)
+    run = eoi.simulate(rig, time, eoi.excitation.square(time, 0.2, 0.1))
+    assert run.hold_declared
+    return eoi.Record(time, run.inputs, run.outputs, input_names=rig.inputs,
+                      output_names=rig.outputs)  # fmt: skip
+
+
+def test_errors_of_the_discretisation_tell_no_hold():
+    found = eoi.identify(eoi.plants.pendulum(), without_noise())
+    assert found.unexplained[0] < SETTINGS.numerical
+    assert found.records[0].hold == "zero"
+    same = "hold zero: the index is the same within 2 % with the others"
+    assert found.reasons[0] == same
+
+
+@pytest.mark.slow
+def test_nothing_is_missing_in_an_exact_simulation():
+    found = eoi.discover(eoi.plants.pendulum(), without_noise())
+    assert found.status.code == "nothing_missing"
+    assert found.found.records[0].hold == "zero"
 
 
 def test_a_declared_hold_is_used_as_declared():
@@ -249,3 +276,13 @@ def test_what_samples_suggest_of_a_hold_is_not_told_beside_what_fits():
     fit = eoi.identify(MASS, record)
     assert any(reason.startswith("hold ") for reason in fit.reasons)
     assert not any("Hold taken as" in note for note in fit.notes)
+    assert not any("Hold taken as" in note for note in fit.records[0].notes)
+
+
+def test_a_summary_names_the_hold_of_the_fit():
+    records, held_out = [held(seed=1)], [held(seed=2)]
+    fit = eoi.identify(MASS, records)
+    summary = identification_summary(job(MASS, records, held_out), fit, None)
+    for record in summary["records"] + summary["held_out_records"]:
+        assert record["hold"] == "zero"
+        assert not any("Hold taken as" in note for note in record["notes"])

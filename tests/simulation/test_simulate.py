@@ -106,7 +106,16 @@ def test_duffing_oscillator_agrees_with_scipy_for_every_hold(hold, solver):
         want.append(solve_ivp(field, (time[k], end), want[-1], rtol=1e-11, atol=1e-13).y[:, -1])
     # Runge-Kutta at h = 5 ms and |λ| = 2…5: (hλ)^4 / 120 of a signal of size 1, over some periods.
     np.testing.assert_allclose(got.outputs[:, 0], np.asarray(want)[:, 0], atol=2e-8)
-    assert got.hold == hold
+    assert (got.hold, got.hold_declared) == (hold, True)
+
+
+def test_a_simulated_record_declares_the_hold_that_was_used():
+    time = 0.1 * np.arange(50)
+    steps = simulate(block(), time, np.repeat(np.arange(5.0), 10))
+    ramp = simulate(block(), time, time)
+    assert [steps.hold, ramp.hold] == ["zero", "linear"]
+    assert steps.hold_declared
+    assert ramp.hold_declared
 
 
 def test_three_masses_agree_with_matrix_exponential():
