@@ -83,11 +83,12 @@ def uniform_grid(stamps: TimeAxis) -> Grid:
 
     The period is the slope of the least-squares line through (sample number, stamp), so a nominal
     step with rounded digits, such as 1/610.35 s, gives neither drift nor jitter. Stamps within
-    1e-3 of a period of that line, or within the rounding to the clock's last digit, are on the
-    grid. If they scatter around the line by up to half a period, the grid still follows the line.
-    Otherwise the period is the median spacing, and the grid starts at the first stamp. Stamps
-    without a usual spacing (samples taken by hand, more often at first) have no such period: where
-    they are multiples of a step that is not too small, they are the points of that grid.
+    1e-3 of a period of that line, or within the rounding to the clock's last digit, which may be as
+    coarse as the period, are on the grid. If they scatter around the line by up to half a period,
+    the grid still follows the line. Otherwise the period is the median spacing, and the grid starts
+    at the first stamp. Stamps without a usual spacing (samples taken by hand, more often at first)
+    have no such period: where they are multiples of a step that is not too small, they are the
+    points of that grid.
 
     Args:
         stamps: strictly increasing time [s], at least two.
@@ -103,17 +104,21 @@ def uniform_grid(stamps: TimeAxis) -> Grid:
     _check_regular(stamps, period)
     steps = np.maximum(np.rint(spacing / period), 1).astype(np.int64)
     index = np.concatenate([[0], np.cumsum(steps)])
-    start, slope = _line(index, stamps)
-    deviation = float(np.max(np.abs(stamps - (start + slope * index)))) / slope
-    resolution = (_SETTINGS.day if _are_days(stamps, slope) else _resolution(stamps, slope)) / slope
+    line = _line(index, stamps)
+    if np.mean(steps > 1) > _SETTINGS.many:  # a coarse clock counts one or two digits a period
+        complete = np.arange(len(stamps))
+        line_of_all = _line(complete, stamps)
+        if _is_rounded(stamps, *line_of_all[1:]):
+            index, line = complete, line_of_all
+    start, slope, deviation = line
     on_line = deviation <= _SETTINGS.tolerance
-    rounded = not on_line and deviation <= 0.6 * resolution + _SETTINGS.tolerance
+    rounded = not on_line and _is_rounded(stamps, slope, deviation)
     if on_line or rounded:
         count = int(index[-1]) + 1
         slope = _snap(slope, count)
         start = float(stamps[0]) if deviation < 1e-6 else start
         time = start + slope * np.arange(count)
-        return Grid(time, slope, index, deviation, resolution * slope if rounded else 0.0)
+        return Grid(time, slope, index, deviation, _digit(stamps, slope) if rounded else 0.0)
     if _are_days(stamps, slope):
         return _grid_of_all(stamps, _SETTINGS.day)
     first = float(stamps[0])
@@ -528,18 +533,32 @@ def _queries_within(
     return slice(int(first), int(last))
 
 
-def _line(index: Int[np.ndarray, " time"], stamps: TimeAxis) -> tuple[float, float]:
-    """Least-squares line: value at index 0 and slope."""
+def _line(index: Int[np.ndarray, " time"], stamps: TimeAxis) -> tuple[float, float, float]:
+    """Least-squares line: value at index 0, slope, and the largest distance from it [slopes]."""
     middle = index.mean()
     offset = index - middle
     slope = float(offset @ (stamps - stamps.mean()) / (offset @ offset))
-    return float(stamps.mean() - slope * middle), slope
+    start = float(stamps.mean() - slope * middle)
+    return start, slope, float(np.max(np.abs(stamps - (start + slope * index)))) / slope
+
+
+def _is_rounded(stamps: TimeAxis, period: float, deviation: float) -> bool:
+    """Whether rounding to the last digit explains the deviation from a line [periods].
+
+    It is at most half a digit, and a tenth for the error of the line.
+    """
+    return deviation <= 0.6 * _digit(stamps, period) / period + _SETTINGS.tolerance
+
+
+def _digit(stamps: TimeAxis, period: float) -> float:
+    """Step of the last digit of stamps [s]; 0 where they have none."""
+    return _SETTINGS.day if _are_days(stamps, period) else _resolution(stamps, period)
 
 
 def _resolution(stamps: TimeAxis, period: float) -> float:
-    """The largest power of ten, at most a tenth of the period, that divides every stamp."""
-    top = int(np.floor(np.log10(period))) - 1
-    for power in range(top, top - 3, -1):
+    """The largest power of ten, at most the period, that divides every stamp."""
+    top = int(np.floor(np.log10(period)))
+    for power in range(top, top - 4, -1):
         digits = stamps / 10.0**power
         slack = 1e-6 + 4 * np.finfo(float).eps * np.max(np.abs(digits))
         if np.max(np.abs(digits - np.rint(digits))) <= slack:
@@ -595,7 +614,7 @@ def _common_steps(elapsed: TimeAxis) -> Iterator[float]:
         elapsed: stamps from the first.
     """
     smallest = float(np.diff(elapsed).min())
-    digit = _resolution(elapsed, 10.0 * smallest)
+    digit = _resolution(elapsed, smallest)
     if digit:
         yield digit
     for parts in _SETTINGS.parts:

@@ -6,6 +6,7 @@ No data are changed here; `Record` handles jitter and gaps.
 import itertools
 import re
 from collections.abc import Mapping
+from contextlib import suppress
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -13,7 +14,7 @@ from jaxtyping import Float
 
 from eoi_jax.data.column_names import is_temperature, role_of_name
 from eoi_jax.data.readers.table import Table
-from eoi_jax.data.resampling import GridSettings
+from eoi_jax.data.resampling import GridSettings, uniform_grid
 
 _NAMES = re.compile(
     r"(t|utc|time|times|tempo|tiempo|temps|zeit|stamps?|timestamps?|clock|date|datetime|elapsed|"
@@ -44,10 +45,11 @@ class Clock:
         column: name of the time column; None if no column looks like time.
         factor: seconds in a unit of the column.
         why: reasons for both, in a sentence.
-        sample_period: median spacing of the stamps [s]; None without a column.
+        sample_period: of the uniform grid of the stamps, their median spacing where they have none
+            [s]; None without a column.
         duration: from the first stamp to the last [s]; where time goes back, of its parts together.
         spacing: smallest and largest spacing [s].
-        jitter: standard deviation of the spacings, without gaps, divided by the median.
+        jitter: standard deviation of the spacings, without gaps, divided by the period.
         gaps: number of spacings of more than 2.5 periods, and the longest [s].
         repeated: number of stamps equal to the previous stamp.
         backwards: number of stamps smaller than the previous stamp, and the index of the first.
@@ -238,6 +240,10 @@ def _clock_of(
     steps = np.diff(stamps)
     forward = steps[steps > 0]
     period = float(np.median(forward))
+    if len(forward) == len(steps):
+        with suppress(ValueError):  # of pauses that dominate
+            grid = uniform_grid(stamps)
+            period = period if grid.scattered else grid.sample_period
     gaps = forward > GridSettings.gap * period
     backward = np.flatnonzero(steps < 0)
     regular = forward[~gaps]

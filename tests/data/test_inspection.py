@@ -805,3 +805,10 @@ def test_an_input_of_text_is_told_with_an_example(tmp_path):
     message = "`inputs` must be columns of numbers, got `1` with 'PWM=70'. Choose from 0, 2, or"
     with pytest.raises(ValueError, match=message):
         inspect(tmp_path / "run.txt", inputs=["1"], outputs=["2"])
+
+
+def test_the_period_of_coarse_stamps_is_that_of_their_record(tmp_path):
+    t = np.round(np.arange(2000) / 25_600, 5)  # their median spacing is 40 µs
+    found = inspect(written(tmp_path / "a.csv", t=t, y=np.sin(300.0 * t)))
+    assert found.clock.sample_period == pytest.approx(1 / 25_600, rel=1e-5)
+    assert "(25600 Hz)" in str(found)

@@ -24,6 +24,25 @@ def test_stamps_of_a_rounded_clock_are_on_the_grid():
     assert grid.resolution == pytest.approx(1e-4)
 
 
+@pytest.mark.parametrize(
+    ("rate", "digit"), [(25_600.0, 1e-5), (300.0, 1e-3), (1 / 1.7e-3, 1e-3), (1 / 1.3e-3, 1e-3)]
+)
+@pytest.mark.parametrize("rounding", [np.round, np.floor], ids=["rounded", "cut off"])
+def test_digits_as_coarse_as_the_period_are_no_jitter(rate, digit, rounding):
+    stamps = digit * rounding(np.arange(5000) / rate / digit + 1e-9)
+    grid = uniform_grid(stamps)
+    np.testing.assert_array_equal(grid.index, np.arange(5000))
+    assert grid.sample_period == pytest.approx(1 / rate, rel=1e-5)
+    assert grid.resolution == pytest.approx(digit)
+
+
+@pytest.mark.parametrize("jitter", [1, 2])
+def test_whole_digits_of_jitter_are_no_rounding(jitter):
+    draw = np.random.default_rng(2)
+    moved = 10 * np.arange(3000) + draw.integers(-jitter, jitter + 1, 3000)
+    assert uniform_grid(1e-3 * moved).index is None
+
+
 def test_a_period_with_hidden_digits_does_not_drift():
     # The median of the spacings is 33 or 34 ms; after 3000 samples it would be 1000 ms off.
     stamps = np.round(np.arange(3000) / 30, 3)
