@@ -15,6 +15,7 @@ from eoi_jax._types import Signals
 HOLDS = ("zero", "linear", "smooth")
 TRACED_HOLDS = HOLDS[:2]  # those that JAX's arrays may have: no spline
 HOLD_TAKEN = "Hold taken as"  # how a note on a hold that the samples suggest begins
+NO_LONGER_HELD = "; held inputs are smooth behind it"  # of a filter: `logged_hold` is theirs
 SELDOM = (
     'Where an input is logged only when it changes, or seldom, declare its `hold`: "zero" keeps '
     'each value up to the next, "linear" goes straight to it.'

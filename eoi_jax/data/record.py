@@ -40,6 +40,7 @@ from eoi_jax.data.cleaning import (
 from eoi_jax.data.digest import digest
 from eoi_jax.data.input_holds import (
     HOLD_TAKEN,
+    NO_LONGER_HELD,
     Hold,
     HoldArgument,
     declared_or_suggested,
@@ -543,15 +544,15 @@ class Record(Result):
         smooth_inputs = fill(position, np.where(u_valid, smooth_inputs, np.nan), position)
         outputs = fill(position, np.where(measured, outputs, np.nan), position)
         which = "Inputs and outputs" if all(filtered) else ", ".join(["Outputs", *(inputs or ())])
-        new = self._changed(
-            f"{which} smoothed by the same zero-phase low-pass, {float(cutoff):g} rad/s."
-        )
-        masks = self.valid, self.input_valid, measured
-        new._set(smooth_inputs, outputs, masks, self.time, self.sample_period)
-        cutoffs, logged = (*self.smoothed, float(cutoff)), self.logged_hold
         holds = [
             "smooth" if smooth else hold for smooth, hold in zip(filtered, self.holds, strict=True)
         ]
+        note = f"{which} smoothed by the same zero-phase low-pass, {float(cutoff):g} rad/s"
+        note += NO_LONGER_HELD * (holds.count("zero") < self.holds.count("zero"))
+        new = self._changed(f"{note}.")
+        masks = self.valid, self.input_valid, measured
+        new._set(smooth_inputs, outputs, masks, self.time, self.sample_period)
+        cutoffs, logged = (*self.smoothed, float(cutoff)), self.logged_hold
         made = {"hold": shared(holds), "_logged_hold": logged, "smoothed": cutoffs}
         new._assign({**self._of_the_samples, **made})
         noise = self.noise / self.noise_left * new.noise_left

@@ -566,6 +566,10 @@ def test_inputs_that_are_not_smoothed_stay_as_they_are_with_their_hold():
     np.testing.assert_array_equal(smooth.outputs, whole.outputs)
     assert smooth.notes[-1].startswith("Outputs, fan smoothed by the same zero-phase low-pass")
     assert record.smooth(20.0, []).notes[-1].startswith("Outputs smoothed")
+    told = "held inputs are smooth behind it"
+    assert told in smooth.notes[-1]
+    assert told not in record.smooth(20.0, []).notes[-1]
+    assert smooth.logged_hold == "zero"
     with pytest.raises(ValueError, match="`inputs` must be one of valve, fan"):
         record.smooth(20.0, ["pump"])
 
