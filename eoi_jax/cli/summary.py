@@ -366,9 +366,9 @@ def _provenance(job: Job, used: Sequence[Record] = ()) -> dict[str, Any]:
         used: those of the fit, with the hold that it has found; none: as they were read.
     """
     kinds = {"records": job.records, "held_out_records": job.held_out, "test_records": job.test}
-    alike = {key: made_alike(records, job.records, used) for key, records in kinds.items()}
+    by_kind = {key: made_alike(records, job.records, used) for key, records in kinds.items()}
     return {
-        **{key: [describe_record(record) for record in records] for key, records in alike.items()},
+        **{key: [*map(describe_record, records)] for key, records in by_kind.items()},
         "config": msgspec.to_builtins(job.settings),
         "versions": versions(),
     }

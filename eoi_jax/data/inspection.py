@@ -26,6 +26,7 @@ from eoi_jax.data.column_names import (
     separate_references,
     unit_of_name,
 )
+from eoi_jax.data.deadband import deadband_note
 from eoi_jax.data.input_holds import STAIRCASE
 from eoi_jax.data.overflow import without_codes
 from eoi_jax.data.readers.delimited import first_word
@@ -365,7 +366,7 @@ def _measured(
         quantum=quantum or None,
         saturated=piles,
         band=band,
-        notes=(*notes, *standstill_notes(name, values[part])),
+        notes=(*notes, *standstill_notes(name, values[part]), *deadband_note(name, values[part])),
     )
 
 

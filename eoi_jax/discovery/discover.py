@@ -26,6 +26,7 @@ from dataclasses import dataclass, replace
 from eoi_jax._checks import check, check_count, real
 from eoi_jax._process import memory_returned, one_thread
 from eoi_jax.data.clipping import clipped_notes
+from eoi_jax.data.deadband import deadband_notes
 from eoi_jax.data.record import Record
 from eoi_jax.data.record_notes import record_notes
 from eoi_jax.data.resampling import Real
@@ -176,7 +177,8 @@ def discover(
     unplaced_notes = (
         [] if effects is None else notes_without_place(tried_effects, fitting, discovery)
     )
-    measured = *record_notes((*read, *unseen)), *clipped_notes(read), *unit_notes(plant, read)
+    doubts = *clipped_notes(read), *deadband_notes(read), *unit_notes(plant, read)
+    measured = *record_notes((*read, *unseen)), *doubts
     if discovery.found.status.fits:
         measured = *reversed_notes(plant, discovery.found), *measured
     notes = *fit_notes(plant, discovery.added, discovery.found), *unplaced_notes, *runs, *measured

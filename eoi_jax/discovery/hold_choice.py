@@ -328,7 +328,7 @@ def _powers(fits: Sequence[Identification]) -> list[float]:
 
 def _power(fit: Identification, common: Bool[np.ndarray, "samples ny"]) -> float:
     injection = np.concatenate(fit.injection)
-    least = numerical_power(fit.plant, fit.index[fit.best_pass], fit.unexplained)
+    least = numerical_power(fit)
     means = [max(np.mean(injection[use, j] ** 2), least[j])
              for j, use in enumerate(common.T) if np.any(use)]  # fmt: skip
     return float(np.exp(np.mean(np.log(np.maximum(means, 1e-300))))) if means else float("inf")

@@ -6,6 +6,7 @@ injection is a parabola in a small delay of an input, so three fits find its min
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from jaxtyping import Float
@@ -234,9 +235,7 @@ def channel_skew(
     return Skew(hold, delays, smallest, without / smallest)
 
 
-def numerical_power(
-    plant: Plant, index: Float[np.ndarray, " ny"], unexplained: Float[np.ndarray, " ny"]
-) -> Float[np.ndarray, " ny"]:
+def numerical_power(fit: Any) -> Float[np.ndarray, " ny"]:
     """Power of the injection below which it is an error of the discretisation, shape (ny,).
 
     Records without noise come down to it, and of two holds its ratio tells nothing: the inputs may
@@ -244,24 +243,21 @@ def numerical_power(
     are compared as they are, have none.
 
     Args:
-        plant: that was fitted.
-        index: of a fit, each output.
-        unexplained: rms of its injection over that of the observed y^(r).
+        fit: an `Identification`.
     """
-    observed = np.zeros(len(index))
-    is_derivative = (unexplained > 0.0) & (np.asarray(plant.degrees) > 0)
-    np.divide(index, unexplained**2, observed, where=is_derivative)
+    observed = np.zeros(len(fit.unexplained))
+    is_derivative = (fit.unexplained > 0.0) & (np.asarray(fit.plant.degrees) > 0)
+    np.divide(fit.index[fit.best_pass], fit.unexplained**2, observed, where=is_derivative)
     return SETTINGS.numerical**2 * observed
 
 
-def resolved_index(
-    plant: Plant, index: Float[np.ndarray, " ny"], unexplained: Float[np.ndarray, " ny"]
-) -> float:
+def resolved_index(fit: Any) -> float:
     """Geometric mean over the outputs of the index, or of `numerical_power` where that is larger.
 
-    Arguments are those of `numerical_power`.
+    Args:
+        fit: an `Identification`.
     """
-    return geometric_mean(np.maximum(index, numerical_power(plant, index, unexplained)))
+    return geometric_mean(np.maximum(fit.index[fit.best_pass], numerical_power(fit)))
 
 
 def geometric_mean(index: Float[np.ndarray, " ny"]) -> float:

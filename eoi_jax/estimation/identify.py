@@ -19,6 +19,7 @@ from eoi_jax._display import Result
 from eoi_jax._process import one_thread
 from eoi_jax._status import NOT_RECORDED, EngineUsed, Status
 from eoi_jax.data.clipping import clipped_notes
+from eoi_jax.data.deadband import deadband_notes
 from eoi_jax.data.holds import SETTINGS as HOLD_SETTINGS
 from eoi_jax.data.record import Record
 from eoi_jax.data.record_notes import record_notes
@@ -227,8 +228,9 @@ def identify(
     explicit = observer is not None and observer.scheme == "explicit"
     checked, evidence = decided(plant, checked, declared_index, lowpass)
     prepared = prepare_records(plant, checked, lowpass, smoothing, substeps, explicit)
-    measured = *clipped_notes(checked), *wrapped_notes(checked, False), *unit_notes(plant, checked)
-    prepared = replace(prepared, reasons=(*evidence, *prepared.reasons, *measured))
+    measured = *clipped_notes(checked), *deadband_notes(checked), *wrapped_notes(checked, False)
+    reasons = *evidence, *prepared.reasons, *measured, *unit_notes(plant, checked)
+    prepared = replace(prepared, reasons=reasons)
     # The explicit form is the paper's method; in single precision second differences are rounding.
     plain_only = explicit or jnp.result_type(float) != jnp.float64
 
@@ -265,8 +267,7 @@ def declared_index(plant: Plant, prepared: PreparedRecords, passes: int) -> floa
         if not (further.status.ok and mean_index(further) < mean_index(fit)):
             break
         fit = further
-    smallest = resolved_index(plant, fit.index[fit.best_pass], fit.unexplained)
-    return smallest if fit.status.fits else np.inf
+    return resolved_index(fit) if fit.status.fits else np.inf
 
 
 def _falling(index: Float[np.ndarray, "passes ny"]) -> bool:

@@ -9,6 +9,7 @@ from jaxtyping import Bool, Float
 from eoi_jax._checks import counted, percent
 from eoi_jax._status import FitNote, Status
 from eoi_jax.data.clipping import clipped_notes
+from eoi_jax.data.deadband import deadband_notes
 from eoi_jax.data.masks import hold_advice
 from eoi_jax.data.record import Record
 from eoi_jax.data.windows import restart_notes
@@ -73,6 +74,7 @@ def refinement_of(
             *(FitNote(_ON_BOUND.format(name, plant.parameters[name])) for name in bound),
             *_unsettled(fit),
             *clipped_notes(records),
+            *deadband_notes(records),
             *wrapped_notes(records),
             *unit_notes(nominal, records),
             *_restarts(records, spans),
