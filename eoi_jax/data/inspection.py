@@ -279,13 +279,8 @@ def _numbers(table: Table, samples: int, codes: list[str]) -> dict[str, Float[np
 def _samples(path: Path, table: Table) -> int:
     """The most frequent length of the columns of numbers; of two that are equal, the longer."""
     lengths = [len(values) for values in table.columns.values() if values.dtype.kind in "biufMm"]
-    check(
-        len(lengths) > 0,
-        "path",
-        "must hold a column of numbers",
-        path,
-        f"It holds {', '.join(list(table.columns)[:10])}. {table.sheet_text}".strip(),
-    )
+    advice = f"It holds {', '.join(list(table.columns)[:10])}. {table.sheet_text}".strip()
+    check(len(lengths) > 0, "path", "must hold a column of numbers", path, advice)
     candidates = [length for length in lengths if length >= SHORTEST]
     check(
         len(candidates) > 0,

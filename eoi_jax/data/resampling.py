@@ -30,7 +30,7 @@ class GridSettings:
     rounding: float = 1e-9  # of sums and quotients of stamps
     gap: float = 2.5  # spacing above which samples are missing; below, a sample is late
     max_growth: float = 10.0  # points of the grid for each stamp; with more, the pauses dominate
-    many: float = 0.1  # of the spacings; so many that are long are how samples come, no gaps
+    long_share: float = 0.1  # of the spacings; so many that are long are how samples come, no gaps
     scatter: float = 4.0  # long over short spacings in whole numbers, which are no milliseconds
     most_points: int = 20_000  # of a grid that has every stamp though they have no usual spacing
     neighbors: int = 5  # spacings on each side, beside which one of such a grid may be a gap
@@ -105,7 +105,9 @@ def uniform_grid(stamps: TimeAxis) -> Grid:
     steps = np.maximum(np.rint(spacing / period), 1).astype(np.int64)
     index = np.concatenate([[0], np.cumsum(steps)])
     line = _line(index, stamps)
-    if np.mean(steps > 1) > _SETTINGS.many:  # a coarse clock counts one or two digits a period
+    if (
+        np.mean(steps > 1) > _SETTINGS.long_share
+    ):  # a coarse clock counts one or two digits a period
         complete = np.arange(len(stamps))
         line_of_all = _line(complete, stamps)
         if _is_rounded(stamps, *line_of_all[1:]):
@@ -574,7 +576,7 @@ def _are_days(stamps: TimeAxis, period: float) -> bool:
 
 def _are_sparse(stamps: TimeAxis) -> bool:
     """Whether a tenth of the spacings and more are gaps of a grid of the median spacing."""
-    median, long = np.quantile(np.diff(stamps), [0.5, 1.0 - _SETTINGS.many])
+    median, long = np.quantile(np.diff(stamps), [0.5, 1.0 - _SETTINGS.long_share])
     return bool(long >= _SETTINGS.gap * median)
 
 
@@ -597,7 +599,7 @@ def _scattered_grid(stamps: TimeAxis) -> Grid | None:
 
     Then as many as a tenth of them would be gaps, had the record the period of another tenth.
     """
-    short, long = np.quantile(np.diff(stamps), [_SETTINGS.many, 1.0 - _SETTINGS.many])
+    short, long = np.quantile(np.diff(stamps), [_SETTINGS.long_share, 1.0 - _SETTINGS.long_share])
     if long < _SETTINGS.gap * short:
         return None
     for unit in _common_steps(stamps - stamps[0]):

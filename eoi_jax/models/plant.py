@@ -614,19 +614,16 @@ def _jumps(structure: Any, theta: tuple[float, ...], dtype: Any) -> Bool[np.ndar
     """`Plant.jumps` of the plant of this structure; its bounds have no influence."""
     del dtype  # part of the cache key: the probes are computed in this type
     plant: Plant = jax.tree.unflatten(structure, [np.asarray(theta)] * structure.num_leaves)
-    change, size, far_change, far_size = along(
-        _across_rest, ("fixed", "rows"), plant, _probes(plant)
-    )
+    probed = along(_across_rest, ("fixed", "rows"), plant, _probes(plant))
+    change, size, far_change, far_size = probed
     # A slope grows with the distance between the two velocities, a jump does not: a power of it
-    # above 0.015 grows by more than a tenth. Beside a pole (a capacity that vanishes) f has no
-    # limits between which to jump.
+    # above 0.015 grows by more than a tenth. Beside a pole f has no limits between which to jump.
     rounding = 1e2 * np.finfo(change.dtype).eps * size
     jumps = (change > rounding) & (change > 0.9 * far_change)
     jumps &= ~np.any(size > 1.01 * far_size, axis=0)
-    # A change of another output where an output of degree one changes sign is no friction.
-    diagonal = np.eye(len(plant.outputs), dtype=bool)
-    jumps = np.any(jumps, axis=0) & (diagonal | (np.asarray(plant.degrees) >= 2))
-    jumps &= ~plant.algebraic  # without a velocity
+    # A change of another output where one of degree one changes sign is no friction.
+    moves = np.eye(len(plant.outputs), dtype=bool) | (np.asarray(plant.degrees) >= 2)
+    jumps = np.any(jumps, axis=0) & moves & ~plant.algebraic
     jumps.flags.writeable = False
     return jumps
 
@@ -647,8 +644,7 @@ def _across_rest(
     x = State(y, apart(plant.internal_start(theta)))
 
     def change(distance: float) -> tuple[Array, Array]:
-        above_rest = plant._with_velocities(t, x, u, theta, distance)
-        below_rest = plant._with_velocities(t, x, u, theta, -distance)
-        return jnp.abs(above_rest - below_rest).T, (jnp.abs(above_rest) + jnp.abs(below_rest)).T
+        rise, fall = (plant._with_velocities(t, x, u, theta, v) for v in (distance, -distance))
+        return jnp.abs(rise - fall).T, (jnp.abs(rise) + jnp.abs(fall)).T
 
     return *change(REST_SPEED), *change(ratio * REST_SPEED)

@@ -163,7 +163,7 @@ def _with_stops(added: Sequence[Added]) -> list[Added]:
     Both together do nothing inside of it, and hold beyond: stops at both ends, or a spring with
     free play. Alone such a spring would seem to act everywhere.
     """
-    told = list(added)
+    listed = list(added)
     for spring in [item for item in added if isinstance(item.effect, LinearStiffness)]:
         for play in [item for item in added if isinstance(item.effect, FreePlay)]:
             pair = spring, play
@@ -171,9 +171,9 @@ def _with_stops(added: Sequence[Added]) -> list[Added]:
             errors = [next(iter(item.standard_errors.values())) for item in pair]
             is_taken = abs(first - second) <= np.linalg.norm(errors)
             if is_taken and spring.position == play.position:
-                told.remove(spring)
-                told[told.index(play)] = replace(play, sentence=_STOPS)
-    return told
+                listed.remove(spring)
+                listed[listed.index(play)] = replace(play, sentence=_STOPS)
+    return listed
 
 
 def possibly(added: Added, text: str) -> str:

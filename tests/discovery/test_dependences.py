@@ -168,9 +168,9 @@ def woofer(seed: int, samples: int = 2500, period: float = 1e-4) -> eoi.Record:
     """A loudspeaker whose force factor falls with the square of its stroke, by Runge and Kutta."""
     draw, x, rows = np.random.default_rng(seed), np.zeros(3), []
     time = period * np.arange(samples)
-    tones = np.exp(2j * np.pi * (np.outer(np.arange(20.0, 400.0, 20.0), time)
-                                 + draw.uniform(size=(19, 1)))).real  # fmt: skip
-    voltage = np.sum(tones / np.sqrt(np.arange(1.0, 20.0))[:, None], axis=0) * 4.0
+    phases = 2.0 * np.pi * (np.outer(np.arange(20.0, 400.0, 20.0), time)
+                            + draw.uniform(size=(19, 1)))  # fmt: skip
+    voltage = np.sum(np.cos(phases) / np.sqrt(np.arange(1.0, 20.0))[:, None], axis=0) * 4.0
 
     def rate(x, u):
         force = 6.2 * (1.0 - 0.03 * x[1] ** 2)

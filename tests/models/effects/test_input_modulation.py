@@ -150,4 +150,4 @@ def test_it_is_not_run_sample_by_sample():
     placed = placements(PLANT, [EFFECT])[1:2]
     plant = augmented(PLANT, placed, dict(zip(placed[0].names, (DEPTH, LAG), strict=True)))
     with pytest.raises(ValueError, match="`effect input_modulation` must act on one input alone"):
-        DrivenInputs(plant, np.asarray(plant.theta), H, np.eye(len(plant.names)), True)
+        DrivenInputs(plant, np.asarray(plant.theta), H, np.eye(len(plant.names)), (True,))
