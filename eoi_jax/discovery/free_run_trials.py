@@ -134,16 +134,14 @@ class Search:
     def is_shown_by_fit(self, trial: Judged, best: Judged) -> bool:
         """Whether the records of the fit show that a model is better, in long or in short runs.
 
-        Or that their errors fall by a third in the fit itself: what a lag or a store does is over
-        in a few blocks, of which no mean over blocks tells much.
+        Or that their errors fall by a third in the mean: what a lag or a store does is over in a
+        few blocks, of which no mean over blocks tells much.
         """
         if trial.fit_runs is None or best.fit_runs is None:
             return True
-        fits = trial.refinement, best.refinement
-        if fits[0].window == fits[1].window:
-            fall = 0.5 * (fits[1].cost - fits[0].cost) / len(fits[0].plant.outputs)
-            if fall > -np.log(RULES.answer.confirmed):
-                return True
+        fall = mean_error(best.fit_runs) - mean_error(trial.fit_runs)
+        if fall > -np.log(RULES.answer.confirmed):
+            return True
         deviations = deviations_of(trial.fit_runs, best.fit_runs)
         return max(deviations) > RULES.judge.min_deviations
 
