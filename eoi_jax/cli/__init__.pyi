@@ -5,6 +5,7 @@ from . import commands as commands
 from . import config as config
 from . import exports as exports
 from . import html_report as html_report
+from . import new_files as new_files
 from . import options as options
 from . import run_folder as run_folder
 from . import saved_models as saved_models

@@ -30,10 +30,8 @@ from eoi_jax.cli.config import (
     SweepTable,
 )
 from eoi_jax.data import excitation
-from eoi_jax.data.inspection import inspect
 from eoi_jax.data.readers.read_record import read_record, read_table
 from eoi_jax.data.record import Record
-from eoi_jax.data.time_axis import parts_between_restarts
 from eoi_jax.discovery.requested import named_effects
 from eoi_jax.estimation import observers
 from eoi_jax.estimation.lowpass import LowPass
@@ -270,7 +268,7 @@ def records(config: Config, model: Plant, folder: Path, data: Path | None = None
         ValueError: of `simulate` or `read_record`, or a name that the plant does not have.
     """
     if config.data is not None:
-        return _read(config.data, "data", model, config.controller, folder, data)
+        return records_of_table(config.data, "data", model, config.controller, folder, data)
     assert config.simulate is not None
     return [_simulated(config.name, config.simulate, model, "input")]
 
@@ -285,7 +283,7 @@ def validation_records(
         return [_simulated(f"{config.name}, held out", held_out, model, "held_out")]
     if config.validation is None:
         return []
-    return _read(config.validation, "validation", model, config.controller, folder, data)
+    return records_of_table(config.validation, "validation", model, config.controller, folder, data)
 
 
 def unseen_records(
@@ -294,48 +292,10 @@ def unseen_records(
     """The test records of the config, if any. Arguments as in `records`."""
     if config.test is None:
         return []
-    return _read(config.test, "test", model, config.controller, folder, data)
+    return records_of_table(config.test, "test", model, config.controller, folder, data)
 
 
-def records_of_files(config: Config, model: Plant, files: Sequence[Path]) -> list[Record]:
-    """Records of other files of the same columns as those of the config.
-
-    Columns, units, scale, hold and burn-in are those of [validation], else of [data]; a `slice` is
-    that of its own files, and where the logger was started again a file is several records. Of a
-    simulated run the columns are called as the plant's channels.
-
-    Args:
-        config: the tables.
-        model: the plant.
-        files: paths of data files.
-
-    Raises:
-        ValueError: a file that does not exist, or lacks a column, and the errors of `read_record`.
-    """
-    for path in files:
-        check(path.is_file(), "FILE", "must be a data file that exists", path)
-    table = config.validation or config.data
-    names = tuple(str(path.absolute()) for path in files)
-    if table is None:
-        clock = inspect(files[0], inputs=model.inputs, outputs=model.outputs).clock.column
-        table = DataTable(names, model.inputs, model.outputs, time=clock)
-    if any(path.suffix.lower() != ".xlsx" for path in files):
-        table = msgspec.structs.replace(table, sheet=None)
-    parts = {} if table.time is None else {name: _parts(name, table) for name in names}
-    table = msgspec.structs.replace(table, files=names, slice=None, parts=parts)
-    return _read(table, "data", model, config.controller, Path(), None)
-
-
-def _parts(path: str, table: DataTable) -> tuple[tuple[int, int], ...]:
-    """Samples between restarts of the logger; none where time goes on, or is not in the file."""
-    stamps = read_table(Path(path), table.max_gigabytes, table.sheet).columns.get(table.time or "")
-    if stamps is None or stamps.dtype.kind not in "iufMm":
-        return ()
-    parts = parts_between_restarts(stamps)
-    return parts if parts != ((0, len(stamps)),) else ()
-
-
-def _read(
+def records_of_table(
     table: DataTable,
     name: str,
     model: Plant,
@@ -343,6 +303,20 @@ def _read(
     folder: Path,
     data: Path | None,
 ) -> list[Record]:
+    """The records that a table of a config describes.
+
+    Args:
+        table: with files and columns.
+        name: of the table in the config.
+        model: the plant.
+        loop: the controller of the config, whose references are read as inputs.
+        folder: of the config.
+        data: folder of measured files; None: `folder`, else $EOI_DATA.
+
+    Raises:
+        ValueError: columns that are not as many as the plant's channels, and those of
+            `read_record`.
+    """
     references = _references(loop)
     for field, channels, owner in (
         ("inputs", model.inputs, "the plant's"),
@@ -380,12 +354,22 @@ def _read(
             label = f"{path.name.split('.')[0]}, part {number}" if len(spans) > 1 else None
             options = {"hold": hold, "slice": span, "name": label}
             options["renames"] = dict(zip(table.references, references, strict=True))
-            measured.append(_read_file(path, table, name, options))
+            measured.append(read_file(path, table, name, options))
     return measured
 
 
-def _read_file(path: Path, table: DataTable, name: str, options: dict[str, Any]) -> Record:
-    """A record as a table says; `options` are those of `read_record` that it does not hold."""
+def read_file(path: Path, table: DataTable, name: str, options: dict[str, Any]) -> Record:
+    """A record as a table says.
+
+    Args:
+        path: of the file.
+        table: with its columns.
+        name: of the table in the config.
+        options: those of `read_record` that the table does not hold.
+
+    Raises:
+        ValueError: those of `read_record`, with the file.
+    """
     assert table.inputs is not None
     assert table.outputs is not None
     assert table.references is not None

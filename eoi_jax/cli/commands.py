@@ -22,6 +22,7 @@ from eoi_jax.cli.options import (
     Estimator,
     EstimatorData,
     ExportFile,
+    Initial,
     Joints,
     Language,
     MaxGigabytes,
@@ -294,6 +295,29 @@ def validate(
     """Judge a saved model on data files: errors of its free runs, and their correlation."""
     _answer(
         as_json, quiet, lambda update: cli.saved_models.validate(run, files, output, trust, update)
+    )
+
+
+@app.command(
+    epilog=_examples(
+        ("eoi predict runs/rig tomorrow.csv", "from its first row on"),
+        ("eoi predict runs/rig u.csv --initial T=41", "a file of inputs only"),
+    )
+)
+def predict(
+    run: RunFolder,
+    file: DataFile,
+    initial: Initial = None,
+    output: Output = RUNS,
+    trust: Trust = False,
+    as_json: AsJson = False,
+    quiet: Quiet = False,
+) -> None:
+    """Predict the outputs of a saved model from planned inputs: numbers and a figure."""
+    _answer(
+        as_json,
+        quiet,
+        lambda update: cli.saved_models.predict(run, file, initial or [], output, trust, update),
     )
 
 

@@ -116,6 +116,15 @@ RunsAndFiles = Annotated[
                    help="Folders of runs, then data files; default: what the first run held out.",
                    autocompletion=complete_data, show_default=False)
 ]  # fmt: skip
+Initial = Annotated[
+    list[str] | None,
+    typer.Option(
+        metavar="NAME=VALUE",
+        help="An output at the start, in the unit of the model; may be repeated. "
+        "Default: as measured in the first row, else as the model declares.",
+        show_default=False,
+    ),
+]
 Trust = Annotated[
     bool, typer.Option("--trust", help="Execute the Python file that defines the model.")
 ]

@@ -34,7 +34,7 @@ from eoi_jax.report import discovery_figures
 from eoi_jax.report.discovery import discovery_text
 from eoi_jax.report.drawing import save_figure
 from eoi_jax.report.figures import identification_figure
-from eoi_jax.report.free_runs import free_run_series, validation_runs
+from eoi_jax.report.free_runs import free_run_series, prediction_series, validation_runs
 from eoi_jax.report.residual_correlation import residual_correlation_figure
 from eoi_jax.report.saved_models import labelled
 from eoi_jax.report.sweep import sweep_figure
@@ -326,14 +326,37 @@ def write_free_runs(
         correlation = partial(residual_correlation_figure, content)
         save_figure(folder / f"correlation{suffix}.png", correlation)
         if len(runs) == 1:
-            _write_prediction(folder / f"prediction{suffix}.csv", runs[0][1], i)
+            result, path = runs[0][1], folder / f"prediction{suffix}.csv"
+            channels = list(zip(result.outputs, result.units, strict=True))
+            prediction = result.predictions[i]
+            _write_columns(path, prediction, channels, prediction.known_outputs)
 
 
-def _write_prediction(path: Path, result: Validation, record: int) -> None:
-    prediction = result.predictions[record]
-    pairs = zip(result.outputs, result.units, strict=True)
-    names = ["time [s]", *(f"{name} [{unit}]" if unit else name for name, unit in pairs)]
-    rows = np.column_stack([prediction.time, prediction.known_outputs])
+def write_prediction(folder: Path, record: Record, summary: dict[str, Any], text: str) -> None:
+    """`predict.json`, `predict.txt`, `prediction.csv` and `prediction.png`.
+
+    Args:
+        folder: an empty folder.
+        record: of `simulate`.
+        summary: of `prediction_summary`.
+        text: what was predicted, and from where.
+    """
+    _write_json(folder / "predict.json", summary)
+    _write(folder / "predict.txt", text + "\n")
+    columns = np.column_stack([record.inputs, record.outputs])
+    names = (*record.input_names, *record.output_names)
+    pairs = [(name, record.units.get(name, "")) for name in names]
+    _write_columns(folder / "prediction.csv", record, pairs, columns)
+    series = prediction_series(record)
+    save_figure(folder / "prediction.png", partial(time_series_figure, series))
+
+
+def _write_columns(
+    path: Path, record: Record, channels: Sequence[tuple[str, str]], columns: np.ndarray
+) -> None:
+    """Time of a record and columns (N, n), whose names and units are `channels`; empty for NaN."""
+    names = ["time [s]", *(f"{name} [{unit}]" if unit else name for name, unit in channels)]
+    rows = np.column_stack([record.time, columns])
     lines = (["" if np.isnan(value) else f"{value:.10g}" for value in row] for row in rows)
     with path.open("w", encoding="utf-8", errors="backslashreplace", newline="") as file:
         csv.writer(file).writerows([names, *lines])

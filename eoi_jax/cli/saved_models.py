@@ -1,23 +1,25 @@
-"""Actions on saved models: `eoi validate` and `eoi compare`, free runs of runs on other data."""
+"""Actions on saved models: `eoi validate`, `predict` and `compare`, free runs on other data."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from eoi_jax._atomic import write_folder
-from eoi_jax._checks import check
+from eoi_jax._checks import check, check_choice
 from eoi_jax.cli import build, run_folder
 from eoi_jax.cli.config import Config, LawTable, load
-from eoi_jax.cli.summary import comparison_summary, validation_summary
+from eoi_jax.cli.new_files import planned_inputs, records_of_files
+from eoi_jax.cli.summary import comparison_summary, prediction_summary, validation_summary
 from eoi_jax.cli.terminal import Outcome, ProgressCallback
 from eoi_jax.compiler import jax_setup
-from eoi_jax.data.holds import skew_text
+from eoi_jax.data.holds import made_alike, skew_text
 from eoi_jax.data.input_holds import hold_text
 from eoi_jax.data.record import Record
 from eoi_jax.data.windows import window_length
 from eoi_jax.estimation.holdout import longest_start
+from eoi_jax.models.check_records import check_inputs
 from eoi_jax.models.controller import Controller
 from eoi_jax.models.plant import Plant
 from eoi_jax.report.saved_models import (
@@ -26,11 +28,13 @@ from eoi_jax.report.saved_models import (
     largest_correlations,
     models_text,
 )
+from eoi_jax.simulation.simulate import simulate
 from eoi_jax.simulation.validate import FittedModel, Validation, validated_alike
 from eoi_jax.simulation.validate import validate as free_runs
 
 _FOLDERS = "must be two folders of runs or more, before the data files"
 _NO_LOOP = "[controller] is not in the loop: the recorded inputs drive all models"
+_PLANNED = "[controller] is not in the loop: the planned inputs drive the model"
 _GIVE_FILES = "Give data files behind the runs."
 
 
@@ -63,7 +67,7 @@ def validate(
     result, settings = _saved(run, trust)
     with run_folder.quiet_records():
         plant = _plant(result)
-        records = build.records_of_files(settings, plant, files)
+        records = records_of_files(settings, plant, files)
         controller = _controller(settings, plant, run, records, trust)
         _report_stage(progress, "free runs")
         full_runs = free_runs(result, records, controller=controller)
@@ -88,6 +92,125 @@ def _predicted_notes(records: Sequence[Record]) -> list[str]:
         if count:
             share = f"{count} of {len(record)} samples of {record.name} are predicted only"
             notes.append(f"{share}, as no output is measured there: see prediction.csv.")
+    return notes
+
+
+def predict(
+    run: Path,
+    file: Path,
+    initial: Sequence[str],
+    output: Path,
+    trust: bool,
+    progress: ProgressCallback | None,
+) -> Outcome:
+    """Predict the outputs of the model of a run from the planned inputs in a file.
+
+    Args:
+        run: folder of a run.
+        file: data file with the inputs of its config; outputs in its first sample are the start.
+        initial: ``NAME=VALUE``, or ``NAME=VALUE,RATE``, of outputs at the start.
+        output: folder in which a folder with numbers, figure and JSON object is written.
+        trust: whether a Python file that the config names may be executed.
+        progress: called with the progress of the work.
+
+    Returns:
+        The outcome.
+
+    Raises:
+        ValueError: not the folder of a run, a file without an input, an output whose start is
+            neither given nor measured nor declared, or a simulation that diverges.
+    """
+    jax_setup.configure()
+    folder = output / f"{_name(run)}.predict"
+    run_folder.check_place(folder, "RUN")
+    _report_stage(progress, "reading")
+    result, settings = _saved(run, trust)
+    plant = _plant(result)
+    given = _given_starts(initial, plant)
+    with run_folder.quiet_records():
+        record, measured = planned_inputs(settings, plant, file)
+        check_inputs(plant, record)
+        fitted = getattr(result, "records", ())
+        (record,) = made_alike((record,), fitted, fitted)
+        start, sources = _starts(plant, given, measured)
+        _report_stage(progress, "simulation")
+        names = {"hold": record.hold, "name": record.name}
+        prediction = simulate(plant, record.time, record.inputs, start, **names)
+    notes = _prediction_notes(plant, record, start)
+    notes += [_PLANNED] * (settings.controller is not None)
+    text = f"{len(record)} samples of {record.name} predicted by {run}, every "
+    text += f"{record.sample_period:g} s; the outputs start from {sources}."
+    text = "\n\n".join([text, *(f"Note: {note}" for note in notes)])
+    summary = prediction_summary(settings.name, run, record, start, notes)
+    _report_stage(progress, "drawing")
+    parts = (prediction, summary, text)
+    write_folder(folder, lambda draft: run_folder.write_prediction(draft, *parts))
+    return Outcome(summary, text, folder)
+
+
+def _given_starts(words: Sequence[str], plant: Plant) -> dict[str, tuple[float, ...]]:
+    """The starts of outputs that ``--initial`` gives, by name."""
+    starts = {}
+    for word in words:
+        name, sign, text = word.rpartition("=")
+        if sign:
+            check_choice("--initial", name, plant.outputs)
+        try:
+            starts[name] = tuple(float(number) for number in text.split(","))
+        except ValueError:
+            sign = ""
+        rule = "must be NAME=VALUE, or NAME=VALUE,RATE, with numbers"
+        check(bool(sign), "--initial", rule, word, f"Write {plant.outputs[0]}=1.5.")
+    return starts
+
+
+def _starts(
+    plant: Plant, given: Mapping[str, tuple[float, ...]], measured: Mapping[str, float]
+) -> tuple[dict[str, tuple[float | None, ...]], str]:
+    """Outputs at the start: as given, else measured, else declared; and a text on all of them."""
+    starts: dict[str, tuple[float | None, ...]] = {}
+    texts, missing = [], []
+    for name, degree in zip(plant.outputs, plant.degrees, strict=True):
+        declared = plant.initial.get(name, (None,))
+        if name in given:
+            starts[name], source = given[name], "--initial"
+        elif not degree:  # a function of the states
+            continue
+        elif name in measured:
+            starts[name], source = (measured[name], *declared[1:]), "measured"
+        else:
+            starts[name], source = declared, "declared by the model"
+        if starts[name][0] is None:
+            missing.append(name)
+            continue
+        unit = plant.units.get(name, "")
+        values = ", ".join(f"{value:.6g}" for value in starts[name] if value is not None)
+        texts.append(f"{name} {values}{f' {unit}' if unit else ''} ({source})")
+    rule = "must give the outputs at the start where the file does not measure them"
+    advice = f"Add {' '.join(f'--initial {name}=VALUE' for name in missing)}."
+    check(not missing, "--initial", rule, f"nothing for {', '.join(missing)}", advice)
+    return starts, ", ".join(texts) or "their states, as the model declares these"
+
+
+def _prediction_notes(
+    plant: Plant, record: Record, start: Mapping[str, Sequence[float | None]]
+) -> list[str]:
+    """What is assumed of the time before the file, and of states that nothing tells."""
+    notes = []
+    resting = [
+        name
+        for name, degree in zip(plant.outputs, plant.degrees, strict=True)
+        if sum(value is not None for value in start.get(name, ())) < degree
+    ]
+    if resting:
+        notes.append(f"derivatives of {', '.join(resting)} that are not known start at 0")
+    if len(plant.initial_internal):
+        notes.append("internal states start as the model declares them")
+    if plant.actuator is not None:
+        notes.append("before the file, the inputs of delays and lags are taken as at its start")
+    if np.any(record.skew):
+        skew = skew_text(record, record.skew)
+        notes.append(f"the fit says that {skew}: the prediction leaves this out")
     return notes
 
 
@@ -258,7 +381,7 @@ def _common_records(
         rule = "must have held-out records where no data file is given"
         check(len(records) > 0, "RUN", rule, first, _GIVE_FILES)
         return records
-    records = build.records_of_files(settings, plant, files)
+    records = records_of_files(settings, plant, files)
     references = records[0].input_names[len(plant.inputs) :]
     if not references:
         return tuple(records)

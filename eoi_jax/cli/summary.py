@@ -1,6 +1,6 @@
 """The results of a run as one JSON object, with the provenance of its data and versions."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -227,6 +227,32 @@ def validation_summary(
             "correlations": _correlations(correlations),
             "notes": list(notes),
             "records": [describe_record(record) for record in full_runs.records],
+            "versions": versions(),
+        }
+    )
+
+
+def prediction_summary(
+    name: str, run: Path, record: Record, initial: Mapping[str, Any], notes: Sequence[str]
+) -> dict[str, Any]:
+    """A prediction from planned inputs as one JSON object; the numbers are in `prediction.csv`.
+
+    Args:
+        name: of the run.
+        run: its folder.
+        record: the inputs, as they were read.
+        initial: outputs at the start, and their derivatives as far as known, by name.
+        notes: on the start and the inputs.
+    """
+    return json_values(
+        {
+            "format": SUMMARY_FORMAT,
+            "kind": "predict",
+            "name": name,
+            "run": str(run),
+            "initial": dict(initial),
+            "notes": list(notes),
+            "records": [describe_record(record)],
             "versions": versions(),
         }
     )

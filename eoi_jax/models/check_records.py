@@ -41,28 +41,8 @@ def check_records(plant: Plant, records: Record | Sequence[Record]) -> tuple[Rec
         check_kind("records", element, Record, "a Record or several")
     for record in data_set:
         _check_places(plant, record)
-        for kind, names, labels, signals in (
-            ("inputs", plant.inputs, record.input_names, record.inputs),
-            ("outputs", plant.outputs, record.output_names, record.outputs),
-        ):
-            check(
-                signals.shape[1] == len(names),
-                f"records[{record.name}].{kind}",
-                f"must have {counted(len(names), 'channel')} ({', '.join(names)}) for "
-                f"`{plant.name}`",
-                f"{signals.shape[1]} ({', '.join(labels)})",
-                _extra_inputs(names, labels) if kind == "inputs" else "",
-            )
-            equal = set(labels) == set(names)
-            check(
-                not equal or tuple(labels) == tuple(names),
-                f"records[{record.name}].{kind}",
-                f"must come in the plant's order ({', '.join(names)})",
-                f"({', '.join(labels)})",
-            )
-            for name, label in zip(names, labels, strict=True):
-                field = f"records[{record.name}].{kind}[{label}]"
-                _check_unit(field, record, label, plant.units.get(name), name)
+        check_inputs(plant, record)
+        _check_channels(plant, record, "outputs", plant.outputs, record.output_names)
     channels = plant.inputs + plant.outputs
     units = {
         name: record.units[label]
@@ -72,6 +52,38 @@ def check_records(plant: Plant, records: Record | Sequence[Record]) -> tuple[Rec
     }
     check_angles(plant, {**units, **plant.units})
     return data_set
+
+
+def check_inputs(plant: Plant, record: Record) -> None:
+    """Check the inputs of a record against the plant's: their number, order and units.
+
+    Raises:
+        ValueError: they differ.
+    """
+    _check_channels(plant, record, "inputs", plant.inputs, record.input_names)
+
+
+def _check_channels(
+    plant: Plant, record: Record, kind: str, names: Sequence[str], labels: Sequence[str]
+) -> None:
+    """Check inputs or outputs; `names` are those of the plant, `labels` those of the record."""
+    check(
+        len(labels) == len(names),
+        f"records[{record.name}].{kind}",
+        f"must have {counted(len(names), 'channel')} ({', '.join(names)}) for `{plant.name}`",
+        f"{len(labels)} ({', '.join(labels)})",
+        _extra_inputs(names, labels) if kind == "inputs" else "",
+    )
+    equal = set(labels) == set(names)
+    check(
+        not equal or tuple(labels) == tuple(names),
+        f"records[{record.name}].{kind}",
+        f"must come in the plant's order ({', '.join(names)})",
+        f"({', '.join(labels)})",
+    )
+    for name, label in zip(names, labels, strict=True):
+        field = f"records[{record.name}].{kind}[{label}]"
+        _check_unit(field, record, label, plant.units.get(name), name)
 
 
 def unit_notes(plant: Plant, records: Sequence[Record]) -> list[str]:

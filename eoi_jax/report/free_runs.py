@@ -9,7 +9,7 @@ from jaxtyping import Float
 from eoi_jax._types import Mask
 from eoi_jax.data.cleaning import is_slow
 from eoi_jax.data.record import Record
-from eoi_jax.report.style import BASE, with_unit
+from eoi_jax.report.style import ACCENT, BASE, with_unit
 from eoi_jax.report.time_series import Panel, Signal, TimeSeries
 from eoi_jax.simulation.validate import Validation
 
@@ -99,6 +99,26 @@ def free_run_series(content: FreeRuns, max_range: float = 3.0) -> TimeSeries:
         ]
     time = np.asarray(content.record.time)
     return TimeSeries(time, tuple(panels), content.record.data_hash, f"time [s], {content.title}")
+
+
+def prediction_series(record: Record) -> TimeSeries:
+    """Predicted outputs of a simulation, and the inputs that drive it below them, a panel each.
+
+    Args:
+        record: of `simulate`.
+    """
+    signals = [Signal("predicted", channel, BASE, 1.0) for channel in record.outputs.T]
+    signals += [
+        Signal("input", channel, ACCENT, held=hold == "zero")
+        for channel, hold in zip(record.inputs.T, record.holds, strict=True)
+    ]
+    names = (*record.output_names, *record.input_names)
+    panels = tuple(
+        Panel(with_unit(name, record.units.get(name)), (signal,), 1.25)
+        for name, signal in zip(names, signals, strict=True)
+    )
+    label = f"time [s], {record.name}"
+    return TimeSeries(np.asarray(record.time), panels, record.data_hash, label, legend=False)
 
 
 def _reach_beyond(course: Float[np.ndarray, " time"], measured: Mask, mean: float) -> float:

@@ -144,6 +144,131 @@ def test_a_file_that_is_measured_at_its_beginning_is_predicted_to_its_end(folder
     np.testing.assert_allclose(table[:, 1], 0.01 * measured[:, 2], atol=0.1)
 
 
+def planned(folder: Path, path: Path, columns: tuple[int, ...] = (0, 1)) -> np.ndarray:
+    """Some columns of the new file, by default those without the output; the whole table."""
+    lines = [line.split(",") for line in (folder / "new.csv").read_text().splitlines()]
+    path.write_text("\n".join(",".join(line[i] for i in columns) for line in lines))
+    return np.array(lines[1:], float)
+
+
+def test_planned_inputs_without_outputs_are_predicted_from_a_given_start(folder, tmp_path):
+    table = planned(folder, tmp_path / "plan.csv")
+    said = called("predict", "runs/good", tmp_path / "plan.csv", "--initial", "level=0.3",
+                  "--output", tmp_path)  # fmt: skip
+    assert said.exit_code == 0, said.output
+    sentence = "2000 samples of plan predicted by runs/good, every 0.02 s; "
+    assert f"{sentence}the outputs start from level 0.3 m (--initial)." in said.stdout
+    rows = (tmp_path / "good.predict" / "prediction.csv").read_text().splitlines()
+    assert rows[0] == "time [s],flow,level [m]"
+    written = np.array([row.split(",") for row in rows[1:]], float)
+    result = eoi.load("runs/good/result.npz")
+    time, hold = table[:, 0], result.records[0].holds
+    expected = eoi.simulate(result.plant, time, table[:, 1], {"level": 0.3}, hold=hold)
+    np.testing.assert_allclose(written[:, 2], expected.outputs[:, 0], atol=1e-8)
+    files = {path.name for path in (tmp_path / "good.predict").iterdir()}
+    assert files == {"predict.json", "predict.txt", "prediction.csv", "prediction.png"}
+
+
+@pytest.mark.parametrize("newest_first", [False, True])
+def test_a_prediction_starts_from_the_first_measured_outputs(folder, tmp_path, newest_first):
+    """In the unit of the model: the config's scale is that of centimetres."""
+    path = tmp_path / "plan.csv"
+    table = planned(folder, path, (0, 1, 2))
+    header, *lines = path.read_text().splitlines()
+    path.write_text("\n".join([header, *(lines[::-1] if newest_first else lines)]))
+    found = answer("predict", "runs/good", path, "--output", tmp_path)
+    assert found["initial"]["level"] == [pytest.approx(0.01 * table[0, 2])]
+    assert found["notes"] == []
+
+
+def test_a_prediction_starts_as_the_model_declares_and_notes_say_what_is_assumed(folder, tmp_path):
+    planned(folder, tmp_path / "plan.csv")
+    plant = eoi.plant_from_text(
+        {"level": "rate", "rate": "-rate - level + store + b*flow", "store": "-store"},
+        {"b": 2.0, "late": 0.1}, inputs=["flow"], outputs=["level"],
+        initial={"level": 0.2, "store": 0.1}, input_delay={"flow": "late"},
+    )  # fmt: skip
+    stored(folder, "declared", plant)
+    found = answer("predict", "runs/declared", tmp_path / "plan.csv", "--output", tmp_path)
+    assert found["initial"] == {"level": [0.2, None]}
+    assert found["notes"] == [
+        "derivatives of level that are not known start at 0",
+        "internal states start as the model declares them",
+        "before the file, the inputs of delays and lags are taken as at its start",
+    ]
+
+
+def test_a_run_that_diverges_has_no_prediction(folder, tmp_path):
+    planned(folder, tmp_path / "plan.csv")
+    plant = eoi.load("runs/good/result.npz").plant.with_parameters({"a": -50.0})
+    stored(folder, "unstable", plant)
+    done = called("predict", "runs/unstable", tmp_path / "plan.csv", "--initial", "level=1",
+                  "--output", tmp_path)  # fmt: skip
+    assert done.exit_code == 2
+    assert "`simulation` must stay finite, got NaN or infinity from t =" in done.stderr
+    assert not (tmp_path / "unstable.predict").exists()
+
+
+@pytest.mark.parametrize(
+    ("change", "initial", "message"),
+    [
+        (("", ""), (), "nothing for level. Add --initial level=VALUE."),
+        (("", ""), ("height=1",), "`--initial` must be one of level, got 'height'"),
+        (("", ""), ("level=full",), "`--initial` must be NAME=VALUE, or NAME=VALUE,RATE"),
+        (("", ""), ("level",), "with numbers, got level. Write level=1.5."),
+        (("", ""), ("level=1,2",), "`initial[level]` must be at most 1 value"),
+        (("valve", "pump"), ("level=1",), "`inputs` must be a column of"),
+        (("t,", "clock,"), ("level=1",), "`time` must be a column of"),
+    ],
+)
+def test_a_plan_that_cannot_be_simulated_says_why(folder, tmp_path, change, initial, message):
+    path = tmp_path / "plan.csv"
+    planned(folder, path)
+    path.write_text(path.read_text().replace(*change, 1))
+    options = [word for one in initial for word in ("--initial", one)]
+    done = called("predict", "runs/good", path, *options, "--output", tmp_path)
+    assert done.exit_code == 2, done.output
+    assert message in done.stderr
+    assert "Traceback" not in done.output
+
+
+def test_a_prediction_needs_a_column_of_time_and_leaves_a_controller_out(folder, tmp_path):
+    planned(folder, tmp_path / "plan.csv")
+    plant = eoi.load("runs/good/result.npz").plant
+    config = (stored(folder, "driven", plant) / "config.toml").read_text()
+    path = folder / "runs" / "driven" / "config.toml"
+    path.write_text(config + CONTROLLER)
+    call = ("predict", "runs/driven", tmp_path / "plan.csv", "--initial", "level=1",
+            "--output", tmp_path)  # fmt: skip
+    assert answer(*call)["notes"][-1].startswith("[controller] is not in the loop")
+    path.write_text(config.replace('time = "t"', "sample_period = 0.02"))
+    done = called(*call)
+    assert done.exit_code == 2, done.output
+    assert "`data.time` must be given where a file has no outputs" in done.stderr
+
+
+def test_a_start_in_another_unit_is_no_start(folder, tmp_path):
+    path = tmp_path / "plan.csv"
+    planned(folder, path, (0, 1, 2))
+    path.write_text(path.read_text().replace("\n", "\ns,,K\n", 1))
+    run = stored(folder, "unscaled", eoi.load("runs/good/result.npz").plant)
+    (run / "config.toml").write_text(CONFIG.replace("scale = { height = 0.01 }", ""))
+    done = called("predict", run, path, "--output", tmp_path)
+    assert done.exit_code == 2, done.output
+    assert "`FILE[height]` must be in the plant's unit for `level`, 'm', got 'K' in" in done.stderr
+
+
+def test_a_plan_with_unknown_inputs_is_no_plan(folder, tmp_path):
+    path = tmp_path / "plan.csv"
+    planned(folder, path)
+    lines = path.read_text().splitlines()
+    lines[-300:] = [line.split(",")[0] + "," for line in lines[-300:]]
+    path.write_text("\n".join(lines))
+    done = called("predict", "runs/good", path, "--initial", "level=1", "--output", tmp_path)
+    assert done.exit_code == 2, done.output
+    assert "`FILE` must have valve at all samples" in done.stderr
+
+
 def test_a_complete_model_leaves_white_errors_and_a_wrong_one_does_not():
     good, wrong = (
         answer("validate", f"runs/{name}", "new.csv")["correlations"] for name in ("good", "wrong")
@@ -254,6 +379,9 @@ def test_columns_of_a_simulated_run_are_the_channels_of_its_plant(tmp_path, monk
     np.savetxt("new.csv", rows, delimiter=",", header=names, comments="")
     found = answer("validate", "runs/simulated", "new.csv")
     assert found["validation"]["fit"][plant.outputs[0]] > 95
+    np.savetxt("plan.csv", rows[:, :2], delimiter=",", header="seconds,voltage", comments="")
+    call = ("predict", "runs/simulated", "plan.csv", "--initial", f"{plant.outputs[0]}=0.1,-0.2")
+    assert answer(*call)["initial"] == {plant.outputs[0]: [0.1, -0.2]}
     (tmp_path / "runs" / "second").mkdir()
     for name in ("result.npz", "config.toml"):
         content = Path(f"runs/simulated/{name}").read_bytes()

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from eoi_jax.cli import build, template
+from eoi_jax.cli import build, new_files, template
 from eoi_jax.cli.commands import app
 from eoi_jax.cli.config import load
 from eoi_jax.compiler import jax_setup
@@ -133,7 +133,7 @@ def test_new_data_of_a_saved_model_are_divided_where_the_logger_restarts(tmp_pat
     config = load(tmp_path / "run.toml")
     plant = build.plant(config, tmp_path)
     new = [written(tmp_path, "new.csv", 400, 30, 300), tmp_path / "a.csv"]
-    found = build.records_of_files(config, plant, new)
+    found = new_files.records_of_files(config, plant, new)
     assert [record.name for record in found] == ["new, part 1", "new, part 2", "a"]
     assert [len(record) for record in found] == [400, 300, 700]
 

@@ -1,0 +1,138 @@
+"""Files beside those of a config, with the same columns: records, or planned inputs only."""
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import msgspec
+import numpy as np
+
+from eoi_jax._checks import check
+from eoi_jax.cli.build import read_file, records_of_table
+from eoi_jax.cli.config import Config, DataTable
+from eoi_jax.data.inspection import inspect
+from eoi_jax.data.readers.read_record import read_table
+from eoi_jax.data.record import Record
+from eoi_jax.data.time_axis import parts_between_restarts
+from eoi_jax.models.plant import Plant
+from eoi_jax.models.units import units_agree
+
+
+def records_of_files(config: Config, model: Plant, files: Sequence[Path]) -> list[Record]:
+    """Records of other files of the same columns as those of the config.
+
+    Columns, units, scale, hold and burn-in are those of [validation], else of [data]; a `slice` is
+    that of its own files, and where the logger was started again a file is several records. Of a
+    simulated run the columns are called as the plant's channels.
+
+    Args:
+        config: the tables.
+        model: the plant.
+        files: paths of data files.
+
+    Raises:
+        ValueError: a file that does not exist, or lacks a column, and the errors of `read_record`.
+    """
+    table = _table_of_files(config, model, files, model.outputs)
+    parts = {} if table.time is None else {name: _parts(name, table) for name in table.files}
+    table = msgspec.structs.replace(table, parts=parts)
+    return records_of_table(table, "data", model, config.controller, Path(), None)
+
+
+def planned_inputs(config: Config, model: Plant, file: Path) -> tuple[Record, dict[str, float]]:
+    """The inputs of the plant in a file that need not have its outputs, and what it has of these.
+
+    Columns, units, scale and hold are those of `records_of_files`. References are not read.
+
+    Args:
+        config: the tables.
+        model: the plant.
+        file: path of a data file.
+
+    Returns:
+        A record whose only output is the column of time, which stands where no output is measured;
+        and by name the outputs that the file has in its first sample [unit after `scale`].
+
+    Raises:
+        ValueError: a file that does not exist, or lacks an input at some sample, no column of time,
+            an output in another unit than the plant's, and the errors of `read_record`.
+    """
+    table = _table_of_files(config, model, [file], None)
+    rule = "must be given where a file has no outputs, for a prediction"
+    advice = "Add it to the table and to the file."
+    check(table.time is not None, "data.time", rule, "none", advice)
+    assert table.time is not None
+    inputs, hold = table.inputs or model.inputs, table.hold
+    if isinstance(hold, dict):
+        hold = {key: word for key, word in hold.items() if key in inputs}
+    elif config.controller is not None and hold == "auto":
+        hold = "zero"
+    measured = _first_outputs(table, model, file)
+    columns = (table.time, *inputs)
+    options = {
+        name: {key: value for key, value in getattr(table, name).items() if key in columns}
+        for name in ("scale", "units", "unwrap")
+    }
+    read = {"inputs": inputs, "outputs": (table.time,), "references": (), "burn_in": 0.0}
+    table = msgspec.structs.replace(table, **read, **options, mask_faults=False)
+    record = read_file(file, table, "data", {"hold": hold})
+    gaps = np.flatnonzero(~record.input_valid)
+    count = len(gaps)
+    begin = f", first at t = {record.time[gaps[0]]:g} s" if count else ""
+    value = f"{count} of {len(record)} without{begin}"
+    advice = "Fill them in: a prediction needs the inputs from its start to its end."
+    check(not count, "FILE", f"must have {', '.join(inputs)} at all samples", value, advice)
+    return record, measured
+
+
+def _table_of_files(
+    config: Config, model: Plant, files: Sequence[Path], outputs: tuple[str, ...] | None
+) -> DataTable:
+    """What a config says of files, for others of the same columns; without `parts` and `slice`.
+
+    Args:
+        config: the tables.
+        model: the plant.
+        files: paths of data files.
+        outputs: their columns in files of a simulated run, which has no table; None: unknown.
+
+    Raises:
+        ValueError: a file that does not exist.
+    """
+    for path in files:
+        check(path.is_file(), "FILE", "must be a data file that exists", path)
+    table = config.validation or config.data
+    names = tuple(str(path.absolute()) for path in files)
+    if table is None:
+        clock = inspect(files[0], inputs=model.inputs, outputs=outputs).clock.column
+        table = DataTable(names, model.inputs, model.outputs, time=clock)
+    if any(path.suffix.lower() != ".xlsx" for path in files):
+        table = msgspec.structs.replace(table, sheet=None)
+    return msgspec.structs.replace(table, files=names, slice=None, parts={})
+
+
+def _parts(path: str, table: DataTable) -> tuple[tuple[int, int], ...]:
+    """Samples between restarts of the logger; none where time goes on, or is not in the file."""
+    stamps = read_table(Path(path), table.max_gigabytes, table.sheet).columns.get(table.time or "")
+    if stamps is None or stamps.dtype.kind not in "iufMm":
+        return ()
+    parts = parts_between_restarts(stamps)
+    return parts if parts != ((0, len(stamps)),) else ()
+
+
+def _first_outputs(table: DataTable, model: Plant, file: Path) -> dict[str, float]:
+    """The outputs that a file has in its first sample, by name."""
+    content, first = read_table(file, table.max_gigabytes, table.sheet), {}
+    stamps = content.columns.get(table.time or "")
+    row = -1 if stamps is not None and stamps.dtype.kind != "O" and stamps[0] > stamps[-1] else 0
+    for name, column in zip(model.outputs, table.outputs or model.outputs, strict=True):
+        values = content.columns.get(column)
+        if values is None or values.dtype.kind not in "iuf" or not np.isfinite(values[row]):
+            continue
+        unit, expected = content.units.get(column, ""), model.units.get(name, "")
+        converted = column in table.scale or column in table.units
+        rule = f"must be in the plant's unit for `{name}`, {expected!r}"
+        advice = "Convert the column, or name the right one."
+        agree = converted or not expected or units_agree(unit, expected) is not False
+        check(agree, f"FILE[{column}]", rule, f"{unit!r} in {file}", advice)
+        first[name] = float(values[row]) * float(dict(table.scale).get(column, 1.0))
+    return first
