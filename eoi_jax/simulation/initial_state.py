@@ -389,9 +389,9 @@ class _Heads:
         """
         outputs = self._simulated(values)
         error = np.where(self.valid[:, None], self.y[:, None] - outputs, 0.0)
-        error = error / self.spread[:, None, None]
-        error = error.reshape(*values.shape[:2], -1)
         with np.errstate(over="ignore", invalid="ignore"):
+            error = error / self.spread[:, None, None]
+            error = error.reshape(*values.shape[:2], -1)
             cost = np.sum(error**2, axis=-1)
         return np.where(np.isfinite(cost), cost, np.inf), error
 

@@ -342,6 +342,15 @@ def test_starts_of_runs_that_diverge_in_any_steps_are_estimated_once(monkeypatch
     assert len(estimated) == 1
 
 
+def test_a_start_whose_run_is_finite_but_not_over_the_spread_gives_no_warning():
+    """Warnings are errors here: of trials that are given up nothing is printed."""
+    time = 0.1 * np.arange(60)
+    growth = plant_from_text({"y": "a*y"}, {"a": 147.6}, inputs=(), outputs=("y",))  # to 1e302
+    record = Record(time, np.zeros((60, 0)), 1e-12 * np.sin(time))
+    result = validate(growth, record, initial_samples=50, window=np.inf, substeps=64)
+    assert np.isinf(result.rmse[0])
+
+
 def test_a_diverged_prediction_is_shown_within_a_thousand_ranges_of_the_measurement():
     time = 0.1 * np.arange(100)
     record = Record(time, 0.0 * time, 1.0 + 1e-3 * np.sin(time))
