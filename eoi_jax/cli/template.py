@@ -17,7 +17,8 @@ from eoi_jax.cli.build import DATA_VARIABLE
 from eoi_jax.cli.terminal import shell_word
 from eoi_jax.data.channel import Channel
 from eoi_jax.data.column_names import short_names
-from eoi_jax.data.inspection import SMOOTH, Inspection, InspectionSettings
+from eoi_jax.data.column_roles import SMOOTH
+from eoi_jax.data.inspection import Inspection, InspectionSettings
 from eoi_jax.data.record import Record
 from eoi_jax.data.resampling import low_pass
 from eoi_jax.data.wrapping import JUMPS, course
