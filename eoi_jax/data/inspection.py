@@ -179,13 +179,15 @@ def inspect(
         if len(values) != samples
     ]
     local = clock.column and table.columns[clock.column].dtype.kind == "M"
-    advice = daylight_saving(numbers[clock.column]) if clock.column and local else []
-    advice += mixed_tags(table, clock.column)
+    shifts = daylight_saving(numbers[clock.column]) if clock.column and local else []
+    advice = [*shifts, *mixed_tags(table, clock.column)]
     advice += [f"`{at.name}` is no signal: {RATING}." for at in channels if at.why == RATING]
     broken = words_among_numbers(path, stored)
     if clock.sample_period is None and not broken:
         advice.append("No column looks like time: give sample_period, the seconds between samples.")
-    advice = (*unstamped, *broken, *codes, *advice, *_advice(channels, clock, samples))
+    doubled = any("an hour twice" in text for text in shifts)
+    checks = _advice(channels, clock, samples, doubled)
+    advice = (*unstamped, *broken, *codes, *advice, *checks)
     return Inspection(
         path, samples, clock, tuple(channels), (*left_out, *table.objects.values()),
         (*table.notes, *_unit_notes(channels, table)), advice, numbers,
@@ -388,8 +390,8 @@ def _distinct(notes: Sequence[str]) -> list[str]:
     return list(shortest.values())
 
 
-def _advice(channels: Sequence[Channel], clock: Clock, samples: int) -> list[str]:
-    """Sentences on what a user should check first."""
+def _advice(channels: Sequence[Channel], clock: Clock, samples: int, doubled: bool) -> list[str]:
+    """Sentences on what a user should check first; `doubled`: whether an hour came twice."""
     by_role = {
         role: [channel for channel in channels if channel.role == role]
         for role in ("input", "output")
@@ -397,11 +399,11 @@ def _advice(channels: Sequence[Channel], clock: Clock, samples: int) -> list[str
     advice = []
     count, first = clock.backwards
     if count:
-        advice.append(
-            f"Time goes back {counted(count, 'time')}, first at row {first}, counted from 0. If "
-            "the logger started again there, `parts` of [data] in a config reads the parts as "
-            "records of their own; else sort the rows."
-        )
+        # Sorted by local times, the rows of an hour that came twice would alternate.
+        text = f"Time goes back {counted(count, 'time')}, first at row {first}, counted from 0. "
+        text += "" if doubled else "If the logger started again there, "
+        text += "`parts` of [data] in a config reads the parts as records of their own"
+        advice.append(text + ("." if doubled else "; else sort the rows."))
     moving = [*by_role["output"], *by_role["input"]]
     if not count:
         advice += _distinct([note for channel in moving for note in channel.notes])

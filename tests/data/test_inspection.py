@@ -640,6 +640,20 @@ def test_dates_that_are_put_forward_or_back_by_an_hour_are_told(tmp_path, day, m
     assert [hint[: len(said or "")] for hint in hints] == ([said] if said else [])
 
 
+def test_rows_of_an_hour_that_came_twice_are_not_to_be_sorted(tmp_path):
+    days = pd.date_range("2024-10-26", periods=288, freq="15min", tz="UTC")
+    local = days.tz_convert("Europe/Berlin").strftime("%Y-%m-%d %H:%M")
+    rows = [f"{stamp},{k // 12 % 2},{np.sin(0.1 * k):.4f}" for k, stamp in enumerate(local)]
+    path = tmp_path / "run.csv"
+    path.write_text("\n".join(["date,heating,room", *rows]))
+    (hint,) = [line for line in inspect(path).advice if line.startswith("Time goes back")]
+    assert "sort" not in hint
+    assert "counted from 0. `parts` of [data] in a config reads the parts as records" in hint
+    again = [rows[0], *rows[1:100], *rows[30:60]]
+    path.write_text("\n".join(["date,heating,room", *again]))
+    assert any("else sort the rows" in line for line in inspect(path).advice)
+
+
 @pytest.mark.parametrize("dates", [False, True])
 def test_a_file_with_the_newest_row_first_has_a_clock(tmp_path, dates):
     stamps = pd.date_range("2024-05-01", periods=N, freq="10ms") if dates else T
