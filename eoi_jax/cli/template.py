@@ -17,7 +17,7 @@ from eoi_jax.cli.build import DATA_VARIABLE
 from eoi_jax.cli.terminal import shell_word
 from eoi_jax.data.channel import Channel
 from eoi_jax.data.column_names import short_names
-from eoi_jax.data.column_roles import SMOOTH
+from eoi_jax.data.column_roles import SMOOTH, hold_of_entries
 from eoi_jax.data.inspection import Inspection, InspectionSettings
 from eoi_jax.data.record import Record
 from eoi_jax.data.resampling import low_pass
@@ -164,7 +164,17 @@ def _record(inspection: Inspection, inputs: Sequence[str], output: Channel) -> R
         clock.factor * signals[clock.column][part] if clock.column else period * np.arange(count)
     )
     y = course(signals[output.name], output.wraps)[part]
-    return Record(stamps, u, y, inspection.path.name)
+    hold = _entry_holds(inspection, inputs) or "auto"
+    return Record(stamps, u, y, inspection.path.name, input_names=inputs, hold=hold)
+
+
+def _entry_holds(inspection: Inspection, inputs: Sequence[str]) -> dict[str, str]:
+    """A hold of each input where one is logged seldom, which has no values without; else none."""
+    seldom = {key: hold_of_entries(inspection.signals[key]) for key in inputs}
+    if not any(seldom.values()):
+        return {}
+    steady = {channel.name for channel in inspection.channels if channel.noise is None}
+    return {key: word or ("zero" if key in steady else "linear") for key, word in seldom.items()}
 
 
 # -- a first guess of the parameters ------------------------------------------------------
@@ -364,6 +374,12 @@ def _unwrap_lines(output: Channel) -> list[str]:
 def _held_lines(inspection: Inspection, inputs: Sequence[str]) -> list[str]:
     """The hold of inputs that keep their values between changes, to be declared by who knows it."""
     channels = [channel for channel in inspection.channels if channel.name in inputs]
+    if seldom := _entry_holds(inspection, inputs):
+        return [
+            f"hold = {_table(seldom)}",
+            "                               # a guess, as inputs are logged seldom: zero where",
+            "                               # entries jump; empty cells have no value without it",
+        ]
     holds = {channel.name: "zero" for channel in channels if channel.noise is None}
     if not holds:
         return []

@@ -32,6 +32,7 @@ from eoi_jax.data.resampling import (
     spline,
 )
 
+RATE = "is measured every"  # of a note on an output with a rate of its own
 SHORTEST = 8  # samples: a quintic spline takes six, an eighth difference nine
 SLOW = 1.5  # samples between two of an output, on average, from which on it has its own rate
 LONGEST_HELD = 2  # missing samples of a held input that is the same before and after them
@@ -313,7 +314,7 @@ def rate_notes(
         position = np.flatnonzero(column).astype(float)
         period = own_period(position)
         holes = len(own_segments(position)) - 1
-        text = f"`{key}` is measured every {period:.3g} samples ({period * sample_period:.3g} s): "
+        text = f"`{key}` {RATE} {period:.3g} samples ({period * sample_period:.3g} s): "
         text += "free runs are scored there, passes interpolate between by a cubic spline"
         notes.append(f"{text}; {counted(holes, 'gap')}." if holes else f"{text}.")
 

@@ -8,6 +8,7 @@ from jaxtyping import Float
 
 from eoi_jax._checks import percent
 from eoi_jax.data.channel import Channel
+from eoi_jax.data.cleaning import RATE, is_slow
 from eoi_jax.data.column_names import (
     RATING,
     rates_samples,
@@ -17,6 +18,7 @@ from eoi_jax.data.column_names import (
 )
 from eoi_jax.data.input_holds import STAIRCASE
 from eoi_jax.data.readers.table import Table
+from eoi_jax.data.sparse_inputs import between_entries
 from eoi_jax.data.time_axis import Clock, numbers_runs
 from eoi_jax.data.wrapping import course
 
@@ -32,6 +34,10 @@ class RoleSettings:
     # Of a signal that is held between rare changes, the changes that are larger than 1.5 quanta:
     # from this share on they are levels that somebody set, not a coarse sensor's.
     set_levels: float = 0.5
+    # Of a log of events, standard deviation of the rows between two entries over their mean, and
+    # the share of the entries that differ from the former one.
+    uneven: float = 0.1
+    new_values: float = 0.9
 
 
 _SETTINGS = RoleSettings()
@@ -70,7 +76,8 @@ def assign_roles(
             if rates_samples(channel.name, numbers, numbers[channel.name]):
                 ratings[channel.name] = "other", RATING
                 continue
-            role, why = _role(channel, course(numbers[channel.name], channel.wraps))
+            values = course(numbers[channel.name], channel.wraps)
+            role, why = _role(channel, values, _by_events(values, clock))
             wraps = f"; it {channel.wraps.text}" if channel.wraps and role == "output" else ""
             roles[channel.name] = role, why + wraps
     moving = [key for key, (role, _) in roles.items() if role != "other"]
@@ -92,20 +99,68 @@ def assign_roles(
         else channel
         for channel in clocked
     ]
-    # The differences of a held signal measure its jumps, not its noise.
     return [
-        replace(channel, noise=None) if channel.role == "input" and _is_held(channel) else channel
+        _as_input(channel, numbers, clock) if channel.role == "input" else channel
         for channel in labelled
     ]
+
+
+def _as_input(
+    channel: Channel, numbers: Mapping[str, Float[np.ndarray, " time"]], clock: Clock
+) -> Channel:
+    """An input without what is said of outputs only: noise of jumps, scores at rare entries."""
+    values = numbers.get(channel.name)
+    if values is None:
+        return channel
+    seldom: list[str] = []
+    stamps = numbers[clock.column] if clock.column else np.arange(len(values), dtype=float)
+    between_entries(stamps, values[:, None], (channel.name,), "auto", seldom)
+    if seldom:
+        others = (note for note in channel.notes if RATE not in note)
+        channel = replace(channel, notes=(*others, *seldom))
+    # The differences of a held signal measure its jumps, not its noise.
+    jumps = _is_held(channel) or _by_events(values, clock)
+    return replace(channel, noise=None) if jumps else channel
 
 
 def _is_held(channel: Channel) -> bool:
     return channel.changes is not None and channel.changes <= STAIRCASE
 
 
-def _role(channel: Channel, values: Float[np.ndarray, " time"]) -> tuple[str, str]:
+def hold_of_entries(values: Float[np.ndarray, " time"]) -> str:
+    """A guess of the hold of an input that is logged seldom: zero where its entries jump.
+
+    Args:
+        values: NaN between the entries.
+
+    Returns:
+        ``"zero"`` or ``"linear"``; "" where more than half of the rows have an entry.
+    """
+    measured = np.isfinite(values)
+    if not (is_slow(measured) and 2 * np.sum(measured) <= len(values)):
+        return ""
+    steps = np.abs(np.diff(values[measured]))
+    return "zero" if steps.max() > _SETTINGS.max_motion * np.ptp(values[measured]) else "linear"
+
+
+def _by_events(values: Float[np.ndarray, " time"], clock: Clock) -> bool:
+    """Whether a file has rows where something happened, and this column entries where it changed.
+
+    A slow sensor, such as a laboratory, has entries at even distances, or rows that are even.
+    """
+    measured = np.isfinite(values)
+    if not hold_of_entries(values):
+        return False
+    rows, changes = np.diff(np.flatnonzero(measured)), np.diff(values[measured])
+    uneven = (clock.jitter or 0.0, float(np.std(rows) / np.mean(rows)))
+    is_new = float(np.mean(changes != 0)) >= _SETTINGS.new_values
+    return is_new and min(uneven) > _SETTINGS.uneven
+
+
+def _role(channel: Channel, values: Float[np.ndarray, " time"], by_events: bool) -> tuple[str, str]:
     (measured,) = np.nonzero(np.isfinite(values))
-    steps = np.abs(np.diff(values[measured])) / np.diff(measured)
+    # Between entries of events nothing is known of a course: the values themselves are compared.
+    steps = np.abs(np.diff(values[measured])) / (1 if by_events else np.diff(measured))
     value_range = float(np.ptp(values[measured]))
     jump = float(steps.max()) / value_range if len(steps) and value_range > 0 else 0.0
     staircase = _is_held(channel)
@@ -115,6 +170,9 @@ def _role(channel: Channel, values: Float[np.ndarray, " time"]) -> tuple[str, st
         manner = ", and is held between changes" if staircase else ""
         return "input", f"its name says so{manner}"
     if jump > _SETTINGS.max_motion and (staircase or not called_output):
+        if by_events:
+            jumps = f"jumps by {100 * jump:.0f} % of its range from an entry to the next"
+            return "input", f"it has entries where it changes, and {jumps}"
         manner = "is held and jumps" if staircase else "jumps"
         return "input", f"it {manner} by {100 * jump:.0f} % of its range in one sample"
     if called_output:

@@ -5,6 +5,7 @@ import tomllib
 from pathlib import Path
 
 import numpy as np
+import pandas as pd
 import pytest
 from typer.testing import CliRunner
 
@@ -71,6 +72,25 @@ def test_the_draft_of_one_file_holds_its_last_part_out(tmp_path):
     tables = drafted(tmp_path, written(tmp_path, "log.csv", 700, 600, 500))
     assert tables["data"]["parts"] == {"log.csv": [[0, 700], [700, 1300]]}
     assert tables["validation"] == {"parts": {"log.csv": [[1300, 1800]]}}
+
+
+def test_the_draft_of_a_log_of_events_declares_the_holds_of_its_inputs(tmp_path):
+    """Without them its inputs would have no value in most rows."""
+    time = np.cumsum(np.random.default_rng(0).integers(1, 5, 600))
+    row = np.arange(len(time))
+    valve = np.where(row % 23 % 14 == 0, 50.0 + 20.0 * np.sin(row), np.nan)
+    air = np.where(row % 7 == 0, 10.0 + np.sin(0.003 * time), np.nan)
+    level = np.sin(0.01 * time)
+    path = tmp_path / "run.csv"
+    columns = {"t": time, "valve": valve, "ambient": air, "level": level}
+    pd.DataFrame(columns).to_csv(path, index=False)
+    text = template.draft([inspect(path)], tmp_path / "run.toml")
+    (tmp_path / "run.toml").write_text(text)
+    config = load(tmp_path / "run.toml")
+    assert config.data is not None
+    assert config.data.hold == {"valve": "zero", "ambient": "linear"}
+    (record,) = build.records(config, build.plant(config, tmp_path), tmp_path)
+    assert record.input_valid.mean() > 0.9
 
 
 def test_the_draft_of_two_files_holds_the_last_file_out(tmp_path):

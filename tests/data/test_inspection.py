@@ -640,6 +640,28 @@ def test_dates_that_are_put_forward_or_back_by_an_hour_are_told(tmp_path, day, m
     assert [hint[: len(said or "")] for hint in hints] == ([said] if said else [])
 
 
+@pytest.mark.parametrize("kind", ["events", "even entries", "even rows"])
+def test_what_is_logged_when_it_changes_is_judged_by_its_entries(tmp_path, kind):
+    """A laboratory has entries at even distances, or rows of its own between those of a clock."""
+    random = np.random.default_rng(0)
+    step = 1.0 if kind == "even rows" else random.integers(1, 5, N)
+    time = np.cumsum(step * np.ones(N))
+    gaps = np.full(N, 20) if kind == "even entries" else random.integers(5, 36, N)
+    entries = np.cumsum(gaps)[np.cumsum(gaps) < N]
+    valve = np.full(N, np.nan)
+    valve[entries] = 50.0 + 20.0 * np.resize([-1, 1, 0.5], len(entries))
+    path = written(tmp_path / "run.csv", t=time, a=valve, temperature=np.sin(0.003 * time))
+    found = {channel.name: channel for channel in inspect(path).channels}["a"]
+    assert (found.role == "input") == (kind == "events")
+    if kind == "events":
+        expected = "it has entries where it changes, and jumps by 100 % of its range from an entry"
+        assert found.why.startswith(expected)
+        assert found.noise is None
+        (note,) = (note for note in found.notes if "values in" in note)
+        assert "unknown in between. Where an input is logged only when it changes" in note
+        assert not any("free runs" in note for note in found.notes)
+
+
 def test_rows_of_an_hour_that_came_twice_are_not_to_be_sorted(tmp_path):
     days = pd.date_range("2024-10-26", periods=288, freq="15min", tz="UTC")
     local = days.tz_convert("Europe/Berlin").strftime("%Y-%m-%d %H:%M")
