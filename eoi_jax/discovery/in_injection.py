@@ -12,7 +12,6 @@ from typing import NamedTuple
 
 from eoi_jax._status import Status
 from eoi_jax.data.record import Record
-from eoi_jax.data.windows import start_samples
 from eoi_jax.discovery.acceptance import (
     answered,
     denied,
@@ -46,7 +45,7 @@ from eoi_jax.models.effects import ParameterDependence
 from eoi_jax.models.effects.effect import AbstractEffect
 from eoi_jax.models.placements import placements
 from eoi_jax.models.plant import Plant
-from eoi_jax.simulation.validate import FreeRuns, Validation, whole_and_windows
+from eoi_jax.simulation.validate import FreeRuns, whole_and_windows
 
 _RULES = RULES.answer
 STAGES = _RULES.rounds + 3
@@ -347,8 +346,6 @@ def _lead(
     if answer.before is None:
         return None
     short = answer.windows_before
-    if short is not None and not _tells_starts(short, task.plant):
-        short = None  # of a search in free runs, which takes shorter heads
     lengths = None if short is None else short.window, answer.before.window
     for model, placed, step_rounds in reversed(steps):
         if not_simulated(model):
@@ -362,14 +359,6 @@ def _lead(
             added = _added(task, refit, dict.fromkeys(placed))
             return PartialExplanation(added, share, refit, *runs)
     return None
-
-
-def _tells_starts(runs: Validation, plant: Plant) -> bool:
-    """Whether windows are longer than the samples that `validate` takes for their starts."""
-    return runs.window is None or all(
-        start_samples(record, plant.rows) < round(runs.window / record.sample_period)
-        for record in runs.records
-    )
 
 
 def _share_of_simpler(

@@ -343,17 +343,27 @@ def whole_and_windows(
         window: length of re-initialised runs [s]; None where the records are too short for any.
         longest: the same of the long runs, of an unstable plant; None: whole records. Short ones
             are then half as long at most.
+
+    Returns:
+        Long and short runs; None for these where a window holds no more than a start takes.
     """
     if longest is None:
-        short_runs = None if window is None else judged_runs(plant, records, window=window)
-        return judged_runs(plant, records), short_runs
+        return judged_runs(plant, records), _in_windows(plant, records, window)
     short = longest if window is None else window
     lengths = longest, min(short, 0.5 * longest)
-    long_runs, short_runs = (
-        judged_runs(plant, records, window_head(length, plant, records), length)
-        for length in lengths
-    )
+    pairs = [(window_head(length, plant, records), length) for length in lengths]
+    long_runs, short_runs = (judged_runs(plant, records, *pair) for pair in pairs)
     return long_runs, short_runs
+
+
+def _in_windows(plant: Plant, records: Sequence[Record], window: float | None) -> Validation | None:
+    """Runs in windows: starts take as many samples as by default, or a share of short windows."""
+    if window is None:
+        return None
+    count = round(window / max(record.sample_period for record in records))
+    fits = all(start_samples(record, plant.rows) < count for record in records)
+    head = None if fits else window_head(window, plant, records)
+    return judged_runs(plant, records, head, window) if (head or 0) < count else None
 
 
 def _head(plant: Plant, record: Record, initial_samples: int | None) -> int:

@@ -16,7 +16,6 @@ from eoi_jax.discovery.in_free_runs import (
     unless_refined_is_better,
     with_further_effects,
 )
-from eoi_jax.discovery.in_injection import _tells_starts
 from eoi_jax.discovery.remainder import partial_where_more_is_left
 from eoi_jax.discovery.result import Added
 from eoi_jax.models.augmented import augmented, place
@@ -278,12 +277,3 @@ def test_whole_runs_tell_more_than_windows_that_score_few_of_their_samples(found
     few = replace(windows, scored=whole.scored // 3)
     assert telling_runs(replace(found, windows_after=few)) is whole
     assert telling_runs(replace(found, windows_after=None)) is whole
-
-
-def test_windows_that_are_shorter_than_a_start_say_nothing_of_a_partial_explanation():
-    """A search in free runs takes shorter heads than `validate`, which compares the lead."""
-    plant = eoi.Plant(lambda t, x, u, p: p.b * u - p.a * x.y[0], {"a": 0.5, "b": 1.0}, 1)
-    record = eoi.simulate(plant, np.arange(40.0), np.sin(np.arange(40.0))[:, None])
-    for window, told in ((12.0, False), (20.0, True)):
-        runs = eoi.validate(plant, record, window=window, initial_samples=4)
-        assert _tells_starts(runs, plant) is told

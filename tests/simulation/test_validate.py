@@ -24,7 +24,7 @@ from eoi_jax.simulation.chained_runs import Chain
 from eoi_jax.simulation.initial_state import _descend, _Heads
 from eoi_jax.simulation.integrator import Drive
 from eoi_jax.simulation.simulate import simulate
-from eoi_jax.simulation.validate import _record, validate
+from eoi_jax.simulation.validate import _record, validate, whole_and_windows
 
 TIME = np.arange(1001) * 5e-3
 FORCE = np.sin(2.0 * TIME) + np.cos(7.0 * TIME)
@@ -368,3 +368,23 @@ def test_a_short_record_starts_from_a_third_of_itself():
     result = validate(decay, record)
     assert result.scored == 40 - 13
     assert result.rmse[0] == pytest.approx(1e-3, rel=0.3)
+
+
+def test_short_windows_start_from_a_share_of_themselves():
+    """As those of a search in free runs, whose heads are shorter than the usual ones."""
+
+    def shifted(t, x, u, p):
+        return -p.a * x.z
+
+    plant = Plant(lambda t, x, u, p: p.b * u - p.a * x.y[0], {"a": 0.5, "b": 1.0}, 1)
+    stored = Plant(
+        plant.dynamics, plant.parameters, 1, internal=shifted, internal_initial=[0.0] * 12
+    )
+    record = simulate(plant, np.arange(60.0), np.sin(np.arange(60.0))[:, None])
+    whole, windows = whole_and_windows(plant, (record,), 12.0)
+    assert windows is not None
+    assert whole.window is None
+    assert windows.window == 12.0
+    assert windows.rmse[0] < 0.01
+    # More states than a window has samples: its starts are not told.
+    assert whole_and_windows(stored, (record,), 12.0)[1] is None
