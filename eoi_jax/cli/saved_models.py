@@ -60,13 +60,9 @@ def validate(
     Raises:
         ValueError: not the folder of a run, or files that are not of the same columns.
     """
-    jax_setup.configure()
-    folder = output / f"{_name(run)}.validate"
-    run_folder.check_place(folder, "RUN")
-    _report_stage(progress, "reading")
-    result, settings = _saved(run, trust)
+    folder, result, settings = _opened(run, output, "validate", trust, progress)
+    plant = _plant(result)
     with run_folder.quiet_records():
-        plant = _plant(result)
         records = records_of_files(settings, plant, files)
         controller = _controller(settings, plant, run, records, trust)
         _report_stage(progress, "free runs")
@@ -81,6 +77,17 @@ def validate(
     parts = ("validate", [("free run", full_runs)], summary, text)
     write_folder(folder, lambda draft: run_folder.write_free_runs(draft, *parts))
     return Outcome(summary, text, folder)
+
+
+def _opened(
+    run: Path, output: Path, command: str, trust: bool, progress: ProgressCallback | None
+) -> tuple[Path, Any, Config]:
+    """Where a command writes, and the stored result and the config of its run."""
+    jax_setup.configure()
+    folder = output / f"{_name(run)}.{command}"
+    run_folder.check_place(folder, "RUN")
+    _report_stage(progress, "reading")
+    return folder, *_saved(run, trust)
 
 
 def _predicted_notes(records: Sequence[Record]) -> list[str]:
@@ -120,11 +127,7 @@ def predict(
         ValueError: not the folder of a run, a file without an input, an output whose start is
             neither given nor measured nor declared, or a simulation that diverges.
     """
-    jax_setup.configure()
-    folder = output / f"{_name(run)}.predict"
-    run_folder.check_place(folder, "RUN")
-    _report_stage(progress, "reading")
-    result, settings = _saved(run, trust)
+    folder, result, settings = _opened(run, output, "predict", trust, progress)
     plant = _plant(result)
     given = _given_starts(initial, plant)
     with run_folder.quiet_records():
