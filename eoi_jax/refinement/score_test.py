@@ -22,7 +22,7 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 
 from eoi_jax.compiler.pointwise import along, slopes_along
 from eoi_jax.data.record import Record
@@ -328,9 +328,14 @@ class LinearisedRuns:
         A step response that begins with its step tells of a lag as well as another one does. Its
         gain is then the level of the input before the records, less that in them.
         """
-        effect, u = placed.effect, self.stages[1]
+        effect = placed.effect
         linear = isinstance(effect, AbstractActuator) and effect.is_linear and not effect.has_driver
-        return linear and not np.any(np.ptp(u[..., placed.channel], axis=(1, 2)))
+        return linear and bool(self._still[placed.channel])
+
+    @cached_property
+    def _still(self) -> Bool[np.ndarray, " nu"]:
+        """Which inputs stand still along each run."""
+        return ~np.any(np.ptp(self.stages[1], axis=(1, 2)), axis=0)
 
     def _late_step(self, placed: Placed, shape: np.ndarray) -> Float[np.ndarray, "runs samples"]:
         """What is left behind an actuator of a unit level before each record."""
