@@ -105,9 +105,8 @@ def uniform_grid(stamps: TimeAxis) -> Grid:
     steps = np.maximum(np.rint(spacing / period), 1).astype(np.int64)
     index = np.concatenate([[0], np.cumsum(steps)])
     line = _line(index, stamps)
-    if (
-        np.mean(steps > 1) > _SETTINGS.long_share
-    ):  # a coarse clock counts one or two digits a period
+    # A coarse clock counts one or two digits a period.
+    if np.mean(steps > 1) > _SETTINGS.long_share:
         complete = np.arange(len(stamps))
         line_of_all = _line(complete, stamps)
         if _is_rounded(stamps, *line_of_all[1:]):

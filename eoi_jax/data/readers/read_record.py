@@ -9,6 +9,7 @@ import re
 import warnings
 from collections.abc import Callable, Mapping, Sequence
 from functools import partial
+from itertools import islice
 from pathlib import Path
 from typing import Any
 
@@ -327,7 +328,8 @@ def words_among_numbers(path: Path, table: Table, share: float = 0.1) -> list[st
     for key, column in table.columns.items():
         if column.dtype.kind != "O":
             continue
-        rows = [row for row, value in enumerate(column.tolist()) if not _is_numeric(value)]
+        words = (row for row, value in enumerate(column.tolist()) if not _is_numeric(value))
+        rows = list(islice(words, int(share * len(column)) + 1))  # no more tell that it is text
         if 0 < len(rows) <= share * len(column):
             more = f" and {counted(len(rows) - 1, 'cell')} more" if len(rows) > 1 else ""
             sentences.append(
