@@ -11,6 +11,7 @@ import numpy as np
 
 from eoi_jax.data.record import Record
 from eoi_jax.discovery.additions import has_size, size_is_known
+from eoi_jax.discovery.exchanged_lags import exchanged
 from eoi_jax.discovery.free_run_candidates import has_dependence
 from eoi_jax.discovery.judge import (
     Judge,
@@ -171,9 +172,30 @@ class Search:
             trial = _fitted(plant.declared_anew(fixed=lost), effects, *runs)
         while trial is not None and (unknown := self._of_unknown_size(trial)):
             if all(item in unknown for item in trial.placed if item in placed):
-                return self._in_the_limit(trial, unknown)
+                return self._exchanged(trial, unknown) or self._in_the_limit(trial, unknown)
             trial = self.with_only([item for item in trial.placed if item not in unknown], trial)
         return None if trial is None else self._without_turned(trial)
+
+    def _exchanged(self, model: Judged, unknown: Sequence[Placed]) -> Judged | None:
+        """A model with a lag that runs off and the lag of the plant exchanged, if that has a size.
+
+        A small loss that few records tell belongs to the plant, and not to a sensor.
+        """
+        values = model.refinement.parameters
+        for item in unknown:
+            remaining = [effect for effect in self.further(model) if effect is not item]
+            base = self.base.refinement.plant
+            base = base.with_parameters({name: values[name] for name in base.names})
+            plant = augmented(base, remaining, values)
+            fast = exchanged(plant, item, values[item.names[0]], self.searched)
+            if fast is None:
+                continue
+            plant = model.refinement.plant.with_parameters({**values, **fast})
+            runs = self.searched, model.refinement.window, self.judge
+            trial = _fitted(plant, model.placed, *runs)
+            if trial is not None and not self._of_unknown_size(trial):
+                return trial
+        return None
 
     def _in_the_limit(self, model: Judged, unknown: Sequence[Placed]) -> Judged | None:
         """A model with the laws in which effects end whose parameters run off.
@@ -210,10 +232,10 @@ class Search:
         for item in self.further(model):
             laws = plainer(self.base.refinement.plant, item, effects)
             for plain in laws if not ended or _is_on_bound(item, model) else ():
-                rest = [effect for effect in model.placed if effect is not item]
-                if plain.kind_site in {effect.kind_site for effect in rest}:
+                remaining = [effect for effect in model.placed if effect is not item]
+                if plain.kind_site in {effect.kind_site for effect in remaining}:
                     continue
-                fit = self.with_only([*rest, plain], model)
+                fit = self.with_only([*remaining, plain], model)
                 if fit is None or self._of_unknown_size(fit) or self.judge.needs(model, fit):
                     continue
                 return self.narrowed(fit, effects, ended)

@@ -341,7 +341,8 @@ def _degrees_of_freedom(
     for i in np.flatnonzero(varies):
         # K = W - TTᵀ, W within records alone, so that tr K² = tr W² - 2 tr TᵀWT + tr (TᵀT)².
         trace, square, explained = 0.0, 0.0, 0.0
-        for form, rows in (pair for group in groups for pair in group.forms(moved[i])):
+        row = moved[i] / np.max(np.abs(moved[i]))  # K counts by its shape, whatever its size
+        for form, rows in (pair for group in groups for pair in group.forms(row)):
             trace += np.trace(form)
             square += np.vdot(form, form) - 2.0 * np.vdot(rows, form @ rows)
             explained = explained + rows.T @ rows
