@@ -23,7 +23,7 @@ from eoi_jax.data.windows import window_length
 from eoi_jax.estimation.defaults import default_observer
 from eoi_jax.estimation.hold import decided
 from eoi_jax.estimation.holdout import INITIAL, held_out_records
-from eoi_jax.estimation.identify import declared_index, estimate
+from eoi_jax.estimation.identify import estimate, trial_fit
 from eoi_jax.estimation.preparation import prepare_records
 from eoi_jax.models.check_records import check_records
 from eoi_jax.models.plant import Plant
@@ -65,7 +65,7 @@ def compare(
         "none",
     )
     read = checked
-    checked, evidence = decided(plant, read, declared_index)
+    checked, evidence = decided(plant, read, trial_fit)
     scored = made_alike(validation_records, read, checked) or checked
     check_kind("truth", {} if truth is None else truth, Mapping, "a dict of values by name")
     for name in truth or {}:

@@ -44,6 +44,13 @@ class HoldSettings:
         trial_skews: delays of an input, and their negatives, at which the index is computed to find
             the skew of the channels, the second around what the first found [samples].
         least_skew: smaller ones are not told from none [samples].
+        earliest: by which an input may act earlier than it was logged, as one may that is held for
+            a sample and read behind the outputs [samples]. Beyond, it was logged late.
+        least_lead: ratio of the index, or of the power of the errors, with a shift up to `earliest`
+            to that with an input that was logged later than that, from which on it counts: what
+            a model lacks may be a bit smaller with inputs to come.
+        longest_lead: of an input that was logged late [samples].
+        shortest_record: of those that are asked for such a lead [leads].
         evidence: twice the gain in log-likelihood from which on a skew is found, or the hold that
             goes with it is another one, or an input has another hold than the others: 3.5
             standard deviations.
@@ -58,6 +65,10 @@ class HoldSettings:
     same: float = 5e-3
     trial_skews: tuple[float, ...] = (0.5, 0.1)
     least_skew: float = 0.05
+    earliest: float = 1.5
+    least_lead: float = 2.0
+    longest_lead: float = 64.0
+    shortest_record: float = 10.0
     evidence: float = 12.0
     numerical: float = 2.4e-5
 

@@ -67,7 +67,7 @@ from eoi_jax.estimation.common_factors import without_common_factors
 from eoi_jax.estimation.defaults import short_record_notes, too_short
 from eoi_jax.estimation.hold import hold_indices
 from eoi_jax.estimation.holdout import check_runs, held_out_records
-from eoi_jax.estimation.identify import declared_index, estimate
+from eoi_jax.estimation.identify import estimate, trial_fit
 from eoi_jax.estimation.kept_signs import reversed_notes
 from eoi_jax.estimation.lowpass import LowPass
 from eoi_jax.estimation.preparation import PreparedRecords, prepare_records
@@ -217,7 +217,7 @@ class _Search:
             records: to fit and to search, as given.
             held_out: that judge, as given.
         """
-        indices = hold_indices(self.plant, records, declared_index, self.lowpass)
+        indices = hold_indices(self.plant, records, trial_fit, self.lowpass)
         if indices is None:
             search, searched = self, self.on(records, held_out)
         else:

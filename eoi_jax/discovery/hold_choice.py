@@ -19,7 +19,7 @@ from eoi_jax.discovery.remarks import HoldNote
 from eoi_jax.discovery.result import Discovery, PartialExplanation
 from eoi_jax.discovery.rules import RULES
 from eoi_jax.estimation.hold import HoldIndices, Skew, best_skew, numerical_power
-from eoi_jax.estimation.identify import Identification, declared_index, estimate
+from eoi_jax.estimation.identify import Identification, estimate, trial_fit
 from eoi_jax.estimation.preparation import prepare_records
 from eoi_jax.models.augmented import Placed
 from eoi_jax.models.plant import Plant
@@ -286,7 +286,7 @@ def _possible_skews(best: _Trial, records: Records, indices: HoldIndices) -> lis
     periods = _stand_ins(best.answer)
     period = records[0].sample_period
     if not periods:
-        skew = best_skew(best.answer.plant, records, best.hold, declared_index, indices.lowpass)
+        skew = best_skew(best.answer.plant, records, best.hold, trial_fit, indices.lowpass)
         return [] if skew is None else [skew]
     if max(periods.values()) > _RULES.longest * period:
         return []

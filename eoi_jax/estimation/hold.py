@@ -1,7 +1,9 @@
 r"""The hold and the skew of the inputs by the passes: those with the smallest index (14).
 
 The logarithm of the index is that of the likelihood of a white injection. The power of the
-injection is a parabola in a small delay of an input, so three fits find its minimum.
+injection is a parabola in a small delay of an input, so three fits find its minimum. An input that
+acts later by more than a sample period is delayed by the plant; no plant answers before it is
+driven, so that one that acts earlier than it was logged was logged late, by however much.
 """
 
 from collections.abc import Callable, Sequence
@@ -27,9 +29,11 @@ from eoi_jax.data.input_holds import HOLDS, Hold, held_inputs, hold_of_each, hol
 from eoi_jax.data.record import Record
 from eoi_jax.estimation.lowpass import LowPass
 from eoi_jax.estimation.preparation import PreparedRecords, prepare_records
+from eoi_jax.models.jacobians import input_slopes
 from eoi_jax.models.plant import Plant
 
-IndexOf = Callable[[Plant, PreparedRecords, int], float]
+Delays = Float[np.ndarray, " nu"]
+FitOf = Callable[[Plant, PreparedRecords, int], Any]  # an `Identification`
 
 
 @dataclass(frozen=True)
@@ -80,15 +84,14 @@ class HoldIndices:
 
 
 def hold_indices(
-    plant: Plant, records: Sequence[Record], index_of: IndexOf, lowpass: LowPass | None = None
+    plant: Plant, records: Sequence[Record], fit_of: FitOf, lowpass: LowPass | None = None
 ) -> HoldIndices | None:
     """The index with each hold, of all inputs and of each.
 
     Args:
         plant: with its nominal parameters.
         records: checked against the plant; one logger is taken to have made all of them.
-        index_of: fits the plant to prepared records in a few passes, and gives the index; infinite
-            where there is no estimate.
+        fit_of: fits the plant to prepared records in a few passes.
         lowpass: F of the fits; None: chosen from the records.
 
     Returns:
@@ -105,7 +108,7 @@ def hold_indices(
         prepared = first
         if hold != rule:
             prepared = prepare_records(plant, with_hold(records, hold), filtered)
-        return index_of(plant, prepared, SETTINGS.passes)
+        return trial_index(fit_of(plant, prepared, SETTINGS.passes))
 
     def better(index: float, reference: float) -> bool:
         return _clearly_smaller(index, reference, records, filtered)
@@ -138,35 +141,40 @@ class Skew:
 
 
 def best_skew(
-    plant: Plant, records: Sequence[Record], hold: Hold, index_of: IndexOf, lowpass: LowPass
+    plant: Plant, records: Sequence[Record], hold: Hold, fit_of: FitOf, lowpass: LowPass
 ) -> Skew | None:
     """The hold and the skew with the smallest index, where the inputs have any skew.
 
     A held input that acts early and one that goes on and acts late are nearly the same, so the
-    other holds of an input are tried once the best one without a skew has shown some.
+    other holds of an input are tried once the best one without a skew has shown some. What the
+    samples suggest counts where no other one fits clearly better.
 
     Args:
         plant: with its nominal parameters.
         records: as they were read.
         hold: that fits best without a skew.
-        index_of: as for `hold_indices`.
+        fit_of: as for `hold_indices`.
         lowpass: F of the fits.
     """
-    best = channel_skew(plant, records, hold, index_of, lowpass)
+    best = channel_skew(plant, records, hold, fit_of, lowpass)
     if best is None:
         return None
+    rule = hold_of_each(undeclared_hold(records) or hold, len(best.delays))
     for j in np.flatnonzero(best.delays).tolist():
         trials, words = [], hold_of_each(best.hold, len(best.delays))
         for word in HOLDS:
             if word != words[j]:
                 changed, delays = with_word(best.hold, j, word, len(words)), best.delays.copy()
                 delays[j] = 0.0
-                trials.append(
-                    channel_skew(plant, records, changed, index_of, lowpass, delays, (j,))
-                )
-        closest = min([best, *filter(None, trials)], key=lambda skew: skew.index)
+                trials.append(channel_skew(plant, records, changed, fit_of, lowpass, delays, (j,)))
+        candidates = [best, *filter(None, trials)]
+        closest = min(candidates, key=lambda skew: skew.index)
         if _clearly_smaller(closest.index, best.index, records, lowpass):
             best = closest
+        for skew in candidates:
+            suggested = hold_of_each(skew.hold, len(words))[j] == rule[j]
+            if suggested and not _clearly_smaller(best.index, skew.index, records, lowpass):
+                best = skew
     return best
 
 
@@ -185,7 +193,7 @@ def channel_skew(
     plant: Plant,
     records: Sequence[Record],
     hold: Hold,
-    index_of: IndexOf,
+    fit_of: FitOf,
     lowpass: LowPass,
     start: Float[np.ndarray, " nu"] | None = None,
     inputs: Sequence[int] | None = None,
@@ -196,43 +204,148 @@ def channel_skew(
         plant: with its nominal parameters.
         records: as they were read; those that declare their hold are not shifted.
         hold: of the other ones.
-        index_of: as for `hold_indices`.
+        fit_of: as for `hold_indices`.
         lowpass: F of the fits.
         start: delays to begin with, shape (nu,) [s]; None: none.
         inputs: whose delays are found; None: of all that move.
 
     Returns:
-        None where no shift within a sample period lowers the index clearly: what acts later than
-        that is a delay of the plant.
+        None where no shift lowers the index clearly: what acts later than it was logged by more
+        than a sample period is a delay of the plant; what acts earlier was logged late.
     """
 
-    def index(delays: Float[np.ndarray, " nu"]) -> float:
+    def fit(delays: Delays) -> Any:
         shifted = with_hold(records, hold, delays)
-        return index_of(plant, prepare_records(plant, shifted, lowpass), SETTINGS.passes)
+        return fit_of(plant, prepare_records(plant, shifted, lowpass), SETTINGS.passes)
+
+    def index(delays: Delays) -> float:
+        return trial_index(fit(delays))
 
     period = min(record.sample_period for record in records)
+    moving = moving_inputs(records) if inputs is None else inputs
     unshifted = np.zeros(records[0].inputs.shape[1])
     delays = unshifted if start is None else start
     without = smallest = index(unshifted)
     if np.any(delays):
         smallest = index(delays)
+    first = delays
+    earliest = SETTINGS.earliest * period
+    delays, smallest = _least(index, delays, smallest, moving, period, earliest)
+    for j in moving:
+        late = _logged_late(index, first, smallest, j, records)
+        if late is None or late[1] * SETTINGS.least_lead > smallest:
+            continue
+        if keeps_direction(plant, fit(late[0]).plant, records, j):
+            delays, smallest = late
+    seen = np.max(np.abs(delays)) >= SETTINGS.least_skew * period
+    if not seen or not _clearly_smaller(smallest, without, records, lowpass):
+        return None
+    return Skew(hold, delays, smallest, without / smallest)
+
+
+def _least(
+    index: Callable[[Delays], float],
+    delays: Delays,
+    smallest: float,
+    inputs: Sequence[int],
+    period: float,
+    earliest: float,
+) -> tuple[Delays, float]:
+    """Delays with the smallest index, by parabolas from where they are, and that index.
+
+    Args:
+        index: of delays [s].
+        delays: to begin with.
+        smallest: their index.
+        inputs: whose delays are found.
+        period: of the samples [s].
+        earliest: by which an input may act earlier than it was logged [s]; later by a `period`.
+    """
     for step in SETTINGS.trial_skews:
-        for j in moving_inputs(records) if inputs is None else inputs:
-            shift = period * step * (np.arange(len(unshifted)) == j)
+        for j in inputs:
+            shift = period * step * (np.arange(len(delays)) == j)
             values = index(delays - shift), smallest, index(delays + shift)
             place = least_of_parabola(values)
             if place is None:
                 continue
             trial = delays + place * shift
-            within = np.max(np.abs(trial)) <= period
+            within = np.max(trial) <= period and np.min(trial) >= -earliest
             if within and (value := index(trial)) < smallest:
                 delays, smallest = trial, value
         if not np.any(delays):
-            return None
-    seen = np.max(np.abs(delays)) >= SETTINGS.least_skew * period
-    if not seen or not _clearly_smaller(smallest, without, records, lowpass):
+            break
+    return delays, smallest
+
+
+def _logged_late(
+    index: Callable[[Delays], float],
+    delays: Delays,
+    smallest: float,
+    j: int,
+    records: Sequence[Record],
+) -> tuple[Delays, float] | None:
+    """Delays with an input that was logged late by more than a sample, with their index.
+
+    A lead is doubled as long as the index falls, and then searched in steps of half the size.
+
+    Args:
+        index: of delays [s].
+        delays: of the other inputs; zero for this one.
+        smallest: index with shifts within a sample.
+        j: the input.
+        records: as they were read.
+    """
+    period = min(record.sample_period for record in records)
+    longest = longest_lead(records)
+
+    def earlier(lead: float) -> Delays:
+        return np.where(np.arange(len(delays)) == j, -lead * period, delays)
+
+    lead = step = 2.0
+    if lead * period > longest or not (least := index(earlier(lead))) < smallest:
         return None
-    return Skew(hold, delays, smallest, without / smallest)
+    while (lead + step) * period <= longest and (value := index(earlier(lead + step))) < least:
+        lead, least, step = lead + step, value, 2.0 * step
+    while step > 0.5:
+        step *= 0.5
+        value, place = min((index(earlier(trial)), trial) for trial in (lead - step, lead + step))
+        if value < least:
+            lead, least = place, value
+    return _least(index, earlier(lead), least, (j,), period, longest)
+
+
+def longest_lead(records: Sequence[Record]) -> float:
+    """Time by which an input may have been logged late [s].
+
+    Args:
+        records: as they were read.
+    """
+    period = min(record.sample_period for record in records)
+    shortest = min(len(record) for record in records)
+    return period * min(SETTINGS.longest_lead, shortest / SETTINGS.shortest_record)
+
+
+def keeps_direction(plant: Plant, fitted: Plant, records: Sequence[Record], j: int) -> bool:
+    """Whether an input acts in a fit in the direction in which the declared model has it.
+
+    Behind feedback u = -k y inputs to come tell the motion to come, by a gain of the other sign.
+
+    Args:
+        plant: as it is declared.
+        fitted: the same one with the parameters of a fit.
+        records: along which the slopes of both are compared.
+        j: the input.
+    """
+    total = 0.0
+    for record in records:
+        measured = np.flatnonzero(record.valid & record.input_valid)[:: max(len(record) // 200, 1)]
+        motion = [record.outputs]
+        for _ in range(1, plant.rows):
+            motion.append(np.gradient(motion[-1], record.sample_period, axis=0))
+        points = record.time[measured], np.stack(motion, axis=1)[measured], record.inputs[measured]
+        nominal, found = (np.asarray(input_slopes(model, *points, j)) for model in (plant, fitted))
+        total += float(np.nansum(nominal * found))
+    return total > 0.0
 
 
 def numerical_power(fit: Any) -> Float[np.ndarray, " ny"]:
@@ -251,12 +364,14 @@ def numerical_power(fit: Any) -> Float[np.ndarray, " ny"]:
     return SETTINGS.numerical**2 * observed
 
 
-def resolved_index(fit: Any) -> float:
+def trial_index(fit: Any) -> float:
     """Geometric mean over the outputs of the index, or of `numerical_power` where that is larger.
 
     Args:
-        fit: an `Identification`.
+        fit: an `Identification`; without an estimate the index is infinite.
     """
+    if not fit.status.fits:
+        return np.inf
     return geometric_mean(np.maximum(fit.index[fit.best_pass], numerical_power(fit)))
 
 
@@ -266,16 +381,16 @@ def geometric_mean(index: Float[np.ndarray, " ny"]) -> float:
 
 
 def decided(
-    plant: Plant, records: Sequence[Record], index_of: IndexOf, lowpass: LowPass | None = None
+    plant: Plant, records: Sequence[Record], fit_of: FitOf, lowpass: LowPass | None = None
 ) -> tuple[tuple[Record, ...], tuple[str, ...]]:
     """Records with the hold and the skew that the model fits best, and the evidence as sentences.
 
     Arguments are those of `hold_indices`.
     """
-    indices = hold_indices(plant, records, index_of, lowpass)
+    indices = hold_indices(plant, records, fit_of, lowpass)
     if indices is None or not np.isfinite(indices.choice.values[indices.best]):
         return tuple(records), ()
-    skew = best_skew(plant, records, indices.best, index_of, indices.lowpass)
+    skew = best_skew(plant, records, indices.best, fit_of, indices.lowpass)
     if skew is None:
         return with_hold(records, indices.best), indices.evidence
     shifted = with_hold(records, skew.hold, skew.delays)

@@ -33,7 +33,7 @@ from eoi_jax.estimation.defaults import (
     short_record_notes,
 )
 from eoi_jax.estimation.engines.single import OnePass, single_pass
-from eoi_jax.estimation.hold import decided, geometric_mean, resolved_index
+from eoi_jax.estimation.hold import decided, geometric_mean
 from eoi_jax.estimation.instrumental_variables import (
     InstrumentalEstimate,
     correct_bias,
@@ -226,7 +226,7 @@ def identify(
     if observer is not None:
         check_observer(plant, observer)
     explicit = observer is not None and observer.scheme == "explicit"
-    checked, evidence = decided(plant, checked, declared_index, lowpass)
+    checked, evidence = decided(plant, checked, trial_fit, lowpass)
     prepared = prepare_records(plant, checked, lowpass, smoothing, substeps, explicit)
     measured = *clipped_notes(checked), *deadband_notes(checked), *wrapped_notes(checked, False)
     reasons = *evidence, *prepared.reasons, *measured, *unit_notes(plant, checked)
@@ -253,8 +253,8 @@ def identify(
     return without_runaways(plant, fit, refit, lambda result: float(np.log(mean_index(result))))
 
 
-def declared_index(plant: Plant, prepared: PreparedRecords, passes: int) -> float:
-    """Geometric mean over the outputs of the smallest index; infinite without an estimate.
+def trial_fit(plant: Plant, prepared: PreparedRecords, passes: int) -> Identification:
+    """A fit whose index is compared with that of the same plant on records made in another way.
 
     Where the index still falls in the last of `passes`, as many follow: from a start far off the
     right hold may need more passes than the wrong ones until it is the better one.
@@ -267,7 +267,7 @@ def declared_index(plant: Plant, prepared: PreparedRecords, passes: int) -> floa
         if not (further.status.ok and mean_index(further) < mean_index(fit)):
             break
         fit = further
-    return resolved_index(fit) if fit.status.fits else np.inf
+    return fit
 
 
 def _falling(index: Float[np.ndarray, "passes ny"]) -> bool:

@@ -6,8 +6,12 @@ parameters and the starts of the runs can do with it taken out, least squares gi
 that it takes away: a step of Gauss and Newton for the price of 2 nu + 1 simulations. Where that is
 clear, all is refined with the inputs shifted, and the error of that fit decides.
 
+An input that acts later by more than a sample period is delayed by the plant; one that acts
+earlier than it was logged was logged late, by however much.
+
 A held input that acts early and one that goes on and acts late are nearly the same, so an input
-with a skew is also tried with its other holds, half a sample earlier or later.
+with a skew is also tried with its other holds, half a sample earlier or later. What the samples
+suggest counts where no other one fits clearly better.
 """
 
 from collections.abc import Callable, Sequence
@@ -16,9 +20,17 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float
 
-from eoi_jax.data.holds import SETTINGS, clearly_smaller, moving_inputs, with_hold, with_word
+from eoi_jax.data.holds import (
+    SETTINGS,
+    clearly_smaller,
+    moving_inputs,
+    undeclared_hold,
+    with_hold,
+    with_word,
+)
 from eoi_jax.data.input_holds import HOLDS, Hold, hold_of_each
 from eoi_jax.data.record import Record
+from eoi_jax.estimation.hold import keeps_direction, longest_lead
 from eoi_jax.estimation.regression.orthonormal import orthonormal
 from eoi_jax.models.plant import Plant
 from eoi_jax.refinement.free_run_sums import signals
@@ -37,12 +49,14 @@ class FreeRunSkewSettings:
     Attributes:
         shift: of an input, to either side, for the slopes of the errors [sample periods].
         steps: of Gauss and Newton, at most.
+        late_steps: the same of an input that was logged late by more than a sample.
         rank_tolerance: singular value of the columns of the unknowns, over the largest, below which
             a direction is rounding.
     """
 
     shift: float = 0.25
     steps: int = 3
+    late_steps: int = 12
     rank_tolerance: float = 1e-8
 
 
@@ -103,6 +117,7 @@ def fit_with_skew(
     if best is plain:
         return None
     period = min(record.sample_period for record in records)
+    rule = hold_of_each(undeclared_hold(records) or hold, len(best.delays))
     for j in np.flatnonzero(best.delays).tolist():
         words = hold_of_each(best.hold, len(best.delays))
         trials = []
@@ -111,17 +126,24 @@ def fit_with_skew(
                 continue
             delays = best.delays.copy()
             delays[j] += 0.5 * period * (int(words[j] == "zero") - int(word == "zero"))
-            if abs(delays[j]) > period:
+            if delays[j] > period:
                 continue
             changed = with_word(best.hold, j, word, len(words))
             refined = fit(best.fit.plant, with_hold(records, changed, delays))
             if refined.status.fits:
                 trial = SkewedFit(refined, changed, delays)
                 trials.append(_shifted(trial, records, fit, (j,)))
-        closest = min([best, *trials], key=lambda trial: trial.error)
+        candidates = [best, *trials]
+        closest = min(candidates, key=lambda trial: trial.error)
         if better(closest, best):
             best = closest
+        for trial in candidates:
+            if hold_of_each(trial.hold, len(words))[j] == rule[j] and not better(best, trial):
+                best = trial
     seen = np.max(np.abs(best.delays)) >= SETTINGS.least_skew * period
+    for j in np.flatnonzero(best.delays < -SETTINGS.earliest * period).tolist():
+        halved = best.error**2 * SETTINGS.least_lead < plain.error**2
+        seen = seen and halved and keeps_direction(result.plant, best.fit.plant, records, j)
     return best if seen and better(best, plain) else None
 
 
@@ -131,10 +153,15 @@ def _shifted(
     """A fit whose inputs are shifted as long as the error falls clearly; itself if it does not."""
     best = start
     period = min(record.sample_period for record in records)
+    longest = longest_lead(records)
     count = scored_samples(start.fit)
-    for _ in range(_SETTINGS.steps):
+    for number in range(_SETTINGS.late_steps):
+        if number >= _SETTINGS.steps and np.min(best.delays) >= -SETTINGS.earliest * period:
+            break
         step = _predicted_skew(best, records, inputs)
-        if step is None or np.max(np.abs(best.delays + step)) > period:
+        if step is None or np.max(best.delays + step) > period:
+            break
+        if np.min(best.delays + step) < -longest:
             break
         delays = best.delays + step
         refined = fit(best.fit.plant, with_hold(records, best.hold, delays))
