@@ -142,6 +142,11 @@ def with_best_hold(
     for skew in _possible_skews(best, records, indices):
         shifted = searched(skew.hold, skew)
         if _takes_place(shifted, best):
+            corrected = _corrected_lead(shifted, skew, records)
+            if corrected is not None:
+                trial = searched(corrected.hold, corrected)
+                if _takes_place(trial, shifted):
+                    shifted, skew = trial, corrected
             hold = hold_text(skew.hold, records[0].input_names)
             notes = notes if skew.hold == best.hold else (f"hold {hold}",)
             best, notes = shifted, (*notes, skew.evidence(records[0]))
@@ -304,6 +309,22 @@ def _possible_skews(best: _Trial, records: Records, indices: HoldIndices) -> lis
         for hold, trial in makings
         if _RULES.shortest * period < np.max(np.abs(trial)) <= period
     ]
+
+
+def _corrected_lead(shifted: _Trial, skew: Skew, records: Records) -> Skew | None:
+    """The skew of an input that was logged late, of the model with the effects found with it.
+
+    What the model lacked before has moved it. None where it stays.
+    """
+    period = records[0].sample_period
+    if not shifted.answer.added or np.min(skew.delays) >= -SETTINGS.earliest * period:
+        return None
+    lowpass, plant = shifted.indices.lowpass, shifted.answer.plant
+    corrected = best_skew(plant, records, skew.hold, trial_fit, lowpass)
+    if corrected is None:
+        return None
+    moved = np.max(np.abs(corrected.delays - skew.delays)) >= SETTINGS.least_skew * period
+    return corrected if moved else None
 
 
 def _refitted(answer: Discovery, records: Records, indices: HoldIndices) -> Identification:

@@ -50,6 +50,8 @@ class FreeRunSkewSettings:
         shift: of an input, to either side, for the slopes of the errors [sample periods].
         steps: of Gauss and Newton, at most.
         late_steps: the same of an input that was logged late by more than a sample.
+        leads: of an input that was logged late, that are tried.
+        noise: errors over the noise of the sensors, from which on they are.
         rank_tolerance: singular value of the columns of the unknowns, over the largest, below which
             a direction is rounding.
     """
@@ -57,6 +59,8 @@ class FreeRunSkewSettings:
     shift: float = 0.25
     steps: int = 3
     late_steps: int = 12
+    leads: int = 14
+    noise: float = 1.5
     rank_tolerance: float = 1e-8
 
 
@@ -114,6 +118,9 @@ def fit_with_skew(
 
     plain = SkewedFit(result, hold, np.zeros(records[0].inputs.shape[1]))
     best = _shifted(plain, records, fit, inputs)
+    if _leaves_more_than_noise(best.fit):
+        late = [trial for j in inputs if (trial := _logged_late(plain, records, fit, j))]
+        best = min([best, *late], key=lambda trial: trial.error)
     if best is plain:
         return None
     period = min(record.sample_period for record in records)
@@ -170,6 +177,43 @@ def _shifted(
             break
         best = trial
     return best
+
+
+def _leaves_more_than_noise(result: Refinement) -> bool:
+    noise = np.max([record.noise for record in result.records], axis=0)
+    return bool(np.any(result.rmse > _SETTINGS.noise * noise))
+
+
+def _logged_late(
+    start: SkewedFit, records: tuple[Record, ...], fit: Fit, j: int
+) -> SkewedFit | None:
+    """A fit with an input that was logged late, by as much as leaves the least of linearised runs.
+
+    A lead of many samples is too far for a step of Gauss and Newton, and that of an input that acts
+    on an output at once leaves no slope between samples. None where no lead halves the power.
+    """
+    result, plant = start.fit, start.fit.plant
+    spans = spans_of(result.records, result.window)
+    period = min(record.sample_period for record in records)
+    longest = longest_lead(records) / period
+    leads = np.unique(np.geomspace(1.0, max(longest, 1.0), _SETTINGS.leads).round())
+    powers = {}
+    for lead in (0.0, *leads):
+        delays = np.where(np.arange(len(start.delays)) == j, -lead * period, start.delays)
+        shifted = with_hold(records, start.hold, delays)
+        problem = weighed(problem_of(plant, shifted, spans, result.substeps), result.rmse)
+        unknowns = _unknowns_of(result, problem)
+        columns = signals(unknowns, problem)
+        if np.all(np.isfinite(columns)):
+            rows = _without_unknowns(columns, unknowns.starts.shape[1], 1)
+            powers[lead] = float(np.sum(rows**2)), delays
+    power, delays = min(powers.values(), key=lambda item: item[0], default=(np.inf, None))
+    if delays is None or 0.0 not in powers or power * SETTINGS.least_lead > powers[0.0][0]:
+        return None
+    refined = fit(plant, with_hold(records, start.hold, delays))
+    if not refined.status.fits:
+        return None
+    return _shifted(SkewedFit(refined, start.hold, delays), records, fit, (j,))
 
 
 def _predicted_skew(

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from scipy.integrate import solve_ivp
 
 import eoi_jax as eoi
 from eoi_jax.estimation.hold import keeps_direction, longest_lead
@@ -34,7 +35,7 @@ def flown(late: int, seed: int, samples: int = 1500) -> eoi.Record:
 
 
 def controlled(seed: int, samples: int = 1500) -> eoi.Record:
-    """Behind u = r - k y, in gusts that no channel shows: inputs to come tell the motion to come."""
+    """Behind u = r - k y in gusts that are not measured: inputs to come tell the motion to come."""
     draw = np.random.default_rng(seed)
     command, rate, gust = np.zeros(samples), np.zeros(samples), 0.0
     for k in range(samples):
@@ -87,3 +88,61 @@ def test_no_effect_stands_in_for_a_channel_that_was_logged_late():
     assert found.effects == ()
     assert found.status.code == "nothing_missing"
     assert any("lags behind the outputs by 0.02 s" in str(note) for note in found.notes)
+
+
+def swung(late: int, seed: int, samples: int = 1500) -> eoi.Record:
+    """A mass on a spring with dry friction, driven by sines that were logged late; SciPy."""
+    period, draw = 0.01, np.random.default_rng(seed)
+    frequency, phase = draw.uniform(1.0, 12.0, 6), draw.uniform(0.0, 6.0, 6)
+    time = period * np.arange(samples)
+
+    def force(t):
+        return np.sum(np.sin(np.multiply.outer(t, frequency) + phase), axis=-1)
+
+    def rates(t, x):
+        friction = 4.0 * np.tanh(x[1] / 1e-3)
+        return x[1], -40.0 * x[0] - 1.5 * x[1] + 30.0 * force(t) - friction
+
+    run = solve_ivp(
+        rates, (0.0, time[-1]), (0.0, 0.0), t_eval=time, max_step=period, rtol=1e-6, atol=1e-8
+    )
+    noise = 2e-3 * draw.standard_normal(samples)
+    return eoi.Record(time, force(time - late * period), run.y[0] + noise)
+
+
+@pytest.mark.slow
+def test_a_missing_effect_and_a_late_channel_are_both_found():
+    """The effect moves the lead that the declared model shows: it is looked for again behind it."""
+    mass = eoi.Plant(
+        lambda t, x, u, p: -p.k * x.y[0] - p.c * x.y[1] + p.g * u[0],
+        {"k": 35.0, "c": 1.0, "g": 25.0}, 2,
+    )  # fmt: skip
+    found = eoi.discover(mass, swung(4, 1), validation=swung(4, 2))
+    assert found.effects == ("coulomb_friction",)
+    assert found.held_out[0].skew == pytest.approx([-0.04], abs=5e-4)
+
+
+def test_an_output_on_which_the_input_acts_at_once_shows_a_late_channel_too():
+    """Between samples its errors have no slope with the delay: leads are tried one by one."""
+    draw = np.random.default_rng(1)
+    force = np.repeat(draw.uniform(-1.0, 1.0, 40), 25)
+    spring = eoi.plant_from_text(
+        {"z": "w", "w": "k*u - c*w - d*z"}, {"k": 1.5, "c": 0.5, "d": 5.0}, ["acceleration"], ["u"],
+        output={"acceleration": "k*u - c*w - d*z"}, initial={"z": 0.0, "w": 0.0},
+    )  # fmt: skip
+    time = 0.02 * np.arange(len(force))
+    levels = lambda t: force[min(int(t / 0.02 + 1e-9), len(force) - 1)]  # noqa: E731
+
+    def rates(t, x):
+        return x[1], 2.0 * levels(t) - 0.8 * x[1] - 4.0 * x[0]
+
+    run = solve_ivp(
+        rates, (0.0, time[-1]), (0.0, 0.0), t_eval=time, max_step=0.02, rtol=1e-8, atol=1e-10
+    )
+    measured = 2.0 * force - 0.8 * run.y[1] - 4.0 * run.y[0]
+    measured = measured + 0.05 * draw.standard_normal(len(force))
+    logged = np.concatenate([np.full(3, force[0]), force[:-3]])
+    record = eoi.Record(time, logged, measured, output_names=("acceleration",))
+    fit = eoi.refine(spring, record)
+    assert fit.records[0].skew / 0.02 == pytest.approx([-3.0], abs=0.1)
+    assert fit.parameters["k"] == pytest.approx(2.0, rel=0.02)
