@@ -43,6 +43,7 @@ from benchmarks.measured.found_process_cases import PROCESS
 from benchmarks.measured.found_robot_cases import ROBOTS
 from benchmarks.measured.found_sets import FoundSet, quarters, records, table
 from benchmarks.measured.found_short_cases import SHORT
+from benchmarks.measured.found_wide_cases import WIDE
 
 
 def motor_generator(folder: Path) -> Rig:
@@ -435,4 +436,5 @@ FOUND: Mapping[str, FoundSet] = {
     **FIELD,
     **JOINTS,
     **FAR,
+    **WIDE,
 }
