@@ -78,6 +78,13 @@ class _Trial:
     def answer(self) -> Discovery:
         return self.search.discovery
 
+    @property
+    def changed_from_rule(self) -> int:
+        """How many inputs have another hold than their samples suggest."""
+        count = len(self.indices.choice.names)
+        words = (hold_of_each(hold, count) for hold in (self.hold, self.indices.rule))
+        return sum(word != suggested for word, suggested in zip(*words, strict=True))
+
     @cached_property
     def fit(self) -> Identification:
         """Of the final model, by as many passes with every hold.
@@ -240,7 +247,11 @@ def _stand_ins(answer: Discovery) -> dict[str, float]:
 
 
 def _best(trials: Sequence[_Trial]) -> _Trial:
-    """The one with the smallest index; of nearly equal ones the simplest answer that explains."""
+    """The one with the smallest index; of nearly equal ones the simplest answer that explains.
+
+    Of such answers the one whose hold the samples suggest. Effects may make up for a hold that is
+    wrong, and lower the index further: where free runs with fewer of them are as good, these stay.
+    """
     if len(trials) == 1:
         return trials[0]
     powers = _powers([trial.fit for trial in trials])
@@ -251,10 +262,13 @@ def _best(trials: Sequence[_Trial]) -> _Trial:
             not powers[place] <= (1.0 + _RULES.same) * min(powers),
             answer.status.code == "unexplained",
             len(answer.added),
+            trials[place].changed_from_rule,
             place,
         )
 
-    return trials[min(range(len(trials)), key=order)]
+    best = trials[min(range(len(trials)), key=order)]
+    plainer = [trial for trial in trials if _is_plainer(trial.answer, best.answer)]
+    return min(plainer, key=lambda trial: len(trial.answer.added), default=best)
 
 
 def _takes_place(shifted: _Trial, best: _Trial) -> bool:
@@ -273,9 +287,17 @@ def _takes_place(shifted: _Trial, best: _Trial) -> bool:
     growth = _growth(old, new)
     if growth is None:
         return fits
-    if fewer and new.status.code in _EXPLAINS and growth < RULES.judge.min_fall:
+    if _is_plainer(new, old):
         return True
     return bool(fits and growth <= -np.log(RULES.answer.confirmed))
+
+
+def _is_plainer(new: Discovery, old: Discovery) -> bool:
+    """Whether an answer explains with fewer effects, and its free runs are as good."""
+    growth = _growth(old, new)
+    if growth is None or new.status.code not in _EXPLAINS:
+        return False
+    return len(new.added) < len(old.added) and growth < RULES.judge.min_fall
 
 
 def _growth(old: Discovery, new: Discovery) -> float | None:
