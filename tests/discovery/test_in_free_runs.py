@@ -100,6 +100,17 @@ def test_a_law_beside_the_answer_is_added(found):
     assert answer.windows_after.window == 2.0
 
 
+def test_the_hold_of_an_answer_that_is_refined_is_the_one_its_free_runs_show(found):
+    """The injection may take a staircase for smooth: half a sample of delay, in a fast mode."""
+    logged = [record(SPRING, seed) for seed in (1, 2)]
+    fit, held = (eoi.Record(one.time, one.inputs, one.outputs, one.name) for one in logged)
+    left = judged_on(found, held.with_hold("smooth"))
+    answer = with_further_effects(left, (fit,), (held,), [], None, 0.01)
+    assert answer.effects == ("cubic_stiffness",)
+    assert answer.held_out[0].hold == "zero"
+    assert any(note.startswith("hold zero: ") for note in answer.notes)
+
+
 def test_an_effect_that_free_runs_came_to_is_not_said_to_be_refused(found):
     hidden = SPRING | {effects.QuadraticDrag(): 0.2}
     fit, held = record(hidden, 1), record(hidden, 2)
