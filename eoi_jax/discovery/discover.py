@@ -46,6 +46,7 @@ from eoi_jax.discovery.in_injection import (
     failed,
     judged_by_free_runs,
     search_injection,
+    unresolved_models,
     without_search,
 )
 from eoi_jax.discovery.own_judge import needs_judge, with_own_judge, with_share
@@ -343,6 +344,9 @@ class _Search:
             discovery = with_hint(task, without_bias(task, discovery))
         if not resolved:
             discovery = judged_by_free_runs(discovery)
+            if discovery.status.code == "unexplained":
+                partial = unresolved_models(task, rare_effects, self.progress)
+                searched = replace(searched, partial=partial)
         discovery = with_doubts(discovery, self.refine)
         discovery = replace(discovery, notes=(*short_notes, *discovery.notes))
         return replace(searched, discovery=discovery)

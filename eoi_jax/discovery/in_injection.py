@@ -40,7 +40,7 @@ from eoi_jax.discovery.side_by_side import concurrently
 from eoi_jax.discovery.task import Task
 from eoi_jax.estimation.holdout import resting_outputs
 from eoi_jax.estimation.identify import Identification
-from eoi_jax.models.augmented import Placed
+from eoi_jax.models.augmented import Placed, added_effects
 from eoi_jax.models.effects import ParameterDependence
 from eoi_jax.models.effects.effect import AbstractEffect
 from eoi_jax.models.placements import placements
@@ -173,6 +173,20 @@ def without_search(task: Task, progress: Progress) -> Discovery:
     if discovery.status.code == "no_data":
         return discovery
     return replace(discovery, status=Status("nothing_missing", _UNRESOLVED), lead=None)
+
+
+def unresolved_models(
+    task: Task, rare_effects: Sequence[AbstractEffect], progress: Progress
+) -> tuple[tuple[Plant, tuple[Placed, ...]], ...]:
+    """Models with sets that the injection would justify, if the passes resolved the declared model.
+
+    They are no answers, but may be tried in free runs: along runs that go astray, a score test says
+    nothing of what is missing.
+    """
+    searched = search_injection(task, rare_effects, progress)
+    answer = searched.discovery
+    placed = added_effects(answer.plant)[len(added_effects(task.plant)) :]
+    return (*([(answer.plant, placed)] if placed else []), *searched.partial)
 
 
 def judged_by_free_runs(discovery: Discovery) -> Discovery:
