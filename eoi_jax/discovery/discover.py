@@ -49,6 +49,7 @@ from eoi_jax.discovery.in_injection import (
     unresolved_models,
     without_search,
 )
+from eoi_jax.discovery.input_influence import influence_notes
 from eoi_jax.discovery.own_judge import needs_judge, with_own_judge, with_share
 from eoi_jax.discovery.refined import refined_answer, with_hint, without_bias
 from eoi_jax.discovery.remainder import (
@@ -181,7 +182,7 @@ def discover(
     doubts = *clipped_notes(read), *deadband_notes(read), *unit_notes(plant, read)
     measured = *record_notes((*read, *unseen)), *doubts
     if discovery.found.status.fits:
-        measured = *reversed_notes(plant, discovery.found), *measured
+        measured = *influence_notes(discovery), *reversed_notes(plant, discovery.found), *measured
     notes = *fit_notes(plant, discovery.added, discovery.found), *unplaced_notes, *runs, *measured
     discovery = replace(discovery, notes=(*discovery.notes, *notes))
     return with_test_errors(discovery, unseen, fit_records, window) if unseen else discovery

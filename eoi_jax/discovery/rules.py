@@ -351,6 +351,9 @@ class QuestionRules:
         useless: the same of a model that a constant is better than, whatever the noise. Set with
             indomethacin in view.
         poor: the same of an answer that nothing is missing, from which on it says so.
+        follows: the same of free runs that tell of the influence of inputs, at most.
+        no_influence: ratio by which they miss more with the mean of an input in its place, below
+            which it has next to none.
         scored: share of the samples of whole runs that windows score, at least, to tell more.
         silent: error over the noise up to which a declared model lacks nothing that held-out
             records show, whatever the injection leaves. Set with circuits that are sampled at half
@@ -365,6 +368,8 @@ class QuestionRules:
     contradicted: float = 2.0
     useless: float = 1.25
     poor: float = 0.8
+    follows: float = 0.5
+    no_influence: float = 1.1
     silent: float = 1.2
     scored: float = 0.5
     own_share: float = 0.3
