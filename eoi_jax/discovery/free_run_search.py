@@ -175,8 +175,8 @@ def _answer(
     if rounds and not present:
         search, best, rounds = _continued(searches, search, (best, rounds), effects, level)
     search, best = _made_best(searches, search, search.narrowed(search.leanest(best), effects))
-    while (settled := search.settled(best)) is None:
-        best = rounds.pop().origin
+    while (settled := search.settled(best)) is None or search.of_unknown_size(settled):
+        best = rounds.pop().origin  # records made in another way may not tell the last effect
     # Each on records made as it was found with.
     first_judge = replace(search.judge, records=variants[0][1])
     if rival is not None and first_judge.prefers(first_judge.runs(rival), settled.runs):

@@ -170,7 +170,7 @@ class Search:
         trial = _fitted(plant, effects, *runs)
         if trial is not None and (lost := _lost_shapes(trial, placed)):
             trial = _fitted(plant.declared_anew(fixed=lost), effects, *runs)
-        while trial is not None and (unknown := self._of_unknown_size(trial)):
+        while trial is not None and (unknown := self.of_unknown_size(trial)):
             if all(item in unknown for item in trial.placed if item in placed):
                 return self._exchanged(trial, unknown) or self._in_the_limit(trial, unknown)
             trial = self.with_only([item for item in trial.placed if item not in unknown], trial)
@@ -193,7 +193,7 @@ class Search:
             plant = model.refinement.plant.with_parameters({**values, **fast})
             runs = self.searched, model.refinement.window, self.judge
             trial = _fitted(plant, model.placed, *runs)
-            if trial is not None and not self._of_unknown_size(trial):
+            if trial is not None and not self.of_unknown_size(trial):
                 return trial
         return None
 
@@ -213,7 +213,7 @@ class Search:
                 return None
         # Of what ran off the values say nothing: else from those of the base.
         trials = (self.with_only(placed, start) for start in (model, self.base))
-        sized = (trial for trial in trials if trial and not self._of_unknown_size(trial))
+        sized = (trial for trial in trials if trial and not self.of_unknown_size(trial))
         return next(sized, None)
 
     def narrowed(
@@ -236,7 +236,7 @@ class Search:
                 if plain.kind_site in {effect.kind_site for effect in remaining}:
                     continue
                 fit = self.with_only([*remaining, plain], model)
-                if fit is None or self._of_unknown_size(fit) or self.judge.needs(model, fit):
+                if fit is None or self.of_unknown_size(fit) or self.judge.needs(model, fit):
                     continue
                 return self.narrowed(fit, effects, ended)
         return model
@@ -265,11 +265,11 @@ class Search:
             return model
         plant = plant.declared_anew(dict.fromkeys(names, 0.0), fixed=names)
         fit = _fitted(plant, model.placed, self.searched, model.refinement.window, self.judge)
-        if fit is None or self._of_unknown_size(fit) or self.judge.needs(model, fit):
+        if fit is None or self.of_unknown_size(fit) or self.judge.needs(model, fit):
             return model
         return fit
 
-    def _of_unknown_size(self, model: Judged) -> list[Placed]:
+    def of_unknown_size(self, model: Judged) -> list[Placed]:
         """Effects of a model of which the records do not tell the size, or not the shape."""
         fit = model.refinement
         return [
@@ -347,7 +347,7 @@ class Search:
         if fit is None or not replaced_terms(self.base.refinement.plant, fit.refinement.plant):
             return fit
         trial = self.with_only(placed, fit, opened=True)
-        if trial is None or self._of_unknown_size(trial):
+        if trial is None or self.of_unknown_size(trial):
             return fit
         trial = self._without_turned(trial)
         return trial if self.judge.needs(trial, fit) else fit

@@ -964,8 +964,22 @@ def test_of_two_effects_none_may_be_told(monkeypatch):
     )
     plant = augmented(search.base.refinement.plant, placed,
                       {name: 0.01 for at in placed for name in at.names})  # fmt: skip
-    monkeypatch.setattr(Search, "_of_unknown_size", lambda _, model: list(model.placed[:1]))
+    monkeypatch.setattr(Search, "of_unknown_size", lambda _, model: list(model.placed[:1]))
     assert search.fitted(plant, placed, search.base) is None
+
+
+@pytest.mark.parametrize("told", [True, False])
+def test_an_effect_whose_size_the_answer_does_not_tell_goes(monkeypatch, told):
+    """It had one on records made in another way, or in a part of them."""
+    ended = []
+    monkeypatch.setattr(Search, "settled", lambda _, best: ended.append(best) or best)
+    monkeypatch.setattr(
+        Search, "of_unknown_size",
+        lambda search, model: [] if told or not ended else list(search.further(model)),
+    )  # fmt: skip
+    answer = search_free_runs([FAN], [((blown(1),), (blown(2),))], [effects.InputSquare()])
+    assert answer is not None
+    assert bool(answer.best.placed) is told
 
 
 @pytest.mark.parametrize(("offset", "stays"), [(0.0, False), (0.3, True)])
@@ -1045,4 +1059,4 @@ def test_a_lead_longer_than_the_records_has_no_size():
         values = fit.parameters | {lead: factor * float(record.time[-1]), lag: 2.0}
         sized = replace(fit, parameters=values, standard_errors=dict.fromkeys(values, 0.1))
         model = Judged(sized, (rate,), judge.runs(fit.plant))
-        assert search._of_unknown_size(model) == unknown
+        assert search.of_unknown_size(model) == unknown

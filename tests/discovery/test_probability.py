@@ -320,7 +320,7 @@ def test_a_ripple_needs_two_periods_within_the_range_of_the_records(wavenumber, 
     runs = runs_with([1.0] * 10)
     data = (record(np.sin(0.1 * np.arange(COUNT))),)
     search = Search(data, data, Judge(data, 1.0, 3, 3), (Judged(REFINEMENT, (), runs),))
-    assert search._of_unknown_size(Judged(fit, (ripple,), runs)) == ([] if tells else [ripple])
+    assert search.of_unknown_size(Judged(fit, (ripple,), runs)) == ([] if tells else [ripple])
 
 
 def test_the_experiment_that_is_advised_is_one_that_the_plant_allows():
