@@ -5,7 +5,8 @@ of constant sign is negligible in the injection, but causes most of the free run
 
 1. `refine` the model on the records of the fit.
 2. `remaining`: find the most significant effect, or two, that the free run lacks; add and refine.
-   Repeat while there is one and the held-out free runs, whole and in windows, improve.
+   Repeat while there is one and the held-out free runs, whole and in windows, improve. A law that
+   it contains takes its place where these are as good.
 3. `refine` the best model over short runs: the error of an incomplete model accumulates over a long
    run and biases its parameters, and a long run that loses its phase is not informative.
 
@@ -29,6 +30,7 @@ from eoi_jax.discovery.acceptance import labels_of
 from eoi_jax.discovery.additions import added_effect, as_fit, uncertain_effects
 from eoi_jax.discovery.free_run_trials import Search, count_of, portion
 from eoi_jax.discovery.judge import Judge, probability_better
+from eoi_jax.discovery.parsimony import plainer
 from eoi_jax.discovery.probability import Standing
 from eoi_jax.discovery.refit import on_bounds, window_of
 from eoi_jax.discovery.remarks import FitNote, is_on_fit
@@ -36,6 +38,7 @@ from eoi_jax.discovery.result import Discovery
 from eoi_jax.discovery.rules import RULES
 from eoi_jax.discovery.task import Task
 from eoi_jax.models.augmented import Placed, augmented
+from eoi_jax.models.effects import rare, standard
 from eoi_jax.models.effects.effect import AbstractEffect
 from eoi_jax.models.plant import Plant
 from eoi_jax.refinement.refine import refine, refine_once
@@ -222,7 +225,7 @@ def _over_whole_runs(
     effects: Sequence[AbstractEffect] | None,
 ) -> Polished | str:
     best: Polished | None = None
-    longest = initial[0].window
+    declared, longest = plant, initial[0].window
     placed: tuple[Placed, ...] = ()
     for iteration in range(1 + _RULES.additions):
         refinement = refine(plant, records)
@@ -232,6 +235,8 @@ def _over_whole_runs(
         allowed = -_RULES.negligible if placed else _RULES.negligible
         if _changes_less_than(initial if best is None else best.runs, runs, allowed):
             best = Polished(refinement, placed, runs)
+            best = _with_plainer_laws(best, declared, records, validation, effects)
+            refinement, placed = best.refinement, best.placed
         elif placed:  # the addition does not improve the held-out free runs
             break
         # `remaining` knows no actuators, and no outputs that are functions of the states.
@@ -245,6 +250,39 @@ def _over_whole_runs(
             (*placed, *missing.placed),
         )
     return best or "not refined: that makes free runs worse on the records that judge"
+
+
+def _with_plainer_laws(
+    model: Polished,
+    declared: Plant,
+    records: Sequence[Record],
+    validation: Sequence[Record],
+    effects: Sequence[AbstractEffect] | None,
+) -> Polished:
+    """A model with laws that its further effects contain in their places, where it is as good.
+
+    Args:
+        model: refined with further effects.
+        declared: the plant without these.
+        records: of the fit.
+        validation: on which models are compared.
+        effects: among which laws are looked for; those of `remaining` by default.
+    """
+    library = (*standard(), *rare()) if effects is None else effects
+    long_runs, short_runs = model.runs
+    lengths = None if short_runs is None else short_runs.window, long_runs.window
+    for i, wide in enumerate(model.placed):
+        for law in plainer(declared, wide, library):
+            values = dict(model.refinement.parameters)
+            values |= {new: values[old] for new, old in zip(law.names, wide.names, strict=False)}
+            placed = (*model.placed[:i], law, *model.placed[i + 1 :])
+            base = declared.with_parameters({name: values[name] for name in declared.names})
+            refinement = refine(augmented(base, placed, values), records)
+            runs = whole_and_windows(refinement.plant, validation, *lengths)
+            if refinement.status.ok and _changes_less_than(model.runs, runs, _RULES.negligible):
+                trial = Polished(refinement, placed, runs)
+                return _with_plainer_laws(trial, declared, records, validation, effects)
+    return model
 
 
 def _changes_less_than(initial: FreeRuns, after: FreeRuns, limit: float) -> bool:

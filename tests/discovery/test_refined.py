@@ -7,7 +7,7 @@ import pytest
 
 import eoi_jax as eoi
 from eoi_jax import effects
-from eoi_jax.discovery.refined import polished
+from eoi_jax.discovery.refined import Polished, _with_plainer_laws, polished
 from eoi_jax.models.augmented import augmented, place
 from eoi_jax.simulation.validate import whole_and_windows
 
@@ -175,6 +175,24 @@ def rolled(plant, seed, push):
     made = eoi.simulate(plant, TIME, force + push * slow / np.std(slow), hold="linear")
     noise = 1e-5 * draw.standard_normal(made.outputs.shape)
     return eoi.Record(TIME, force, made.outputs + noise, f"run {seed}", hold="linear")
+
+
+@pytest.mark.parametrize(("rise", "kept"), [(0.0, "coulomb_friction"), (0.6, "stribeck_friction")])
+def test_a_law_that_another_contains_takes_its_place_where_it_is_as_good(rise, kept):
+    wide = place(PLANT, effects.StribeckFriction(), 0)
+    hidden = dict(zip(wide.names, (0.3, rise, 0.3), strict=True))
+    true = augmented(PLANT.with_parameters(TRUTH), (wide,), hidden)
+    draw, time = np.random.default_rng(1), TIME[:1500]
+    force = np.repeat(3.0 * draw.normal(size=40), 41)[: len(time)] + np.sin(2.0 * time)
+    clean = eoi.simulate(true, time, force, hold="zero", substeps=4)
+    outputs = clean.outputs + 1e-3 * draw.standard_normal(clean.outputs.shape)
+    data = eoi.Record(time, force, outputs, hold="zero")
+    start = augmented(PLANT, (wide,), dict(zip(wide.names, (0.3, 0.1, 0.3), strict=True)))
+    fit = eoi.refine(start, data)
+    model = Polished(fit, (wide,), whole_and_windows(fit.plant, (data,), None))
+    plain = _with_plainer_laws(model, PLANT, (data,), (data,), None)
+    assert [item.effect.name for item in plain.placed] == [kept]
+    assert (plain is model) is (rise > 0.0)
 
 
 def test_what_makes_free_runs_worse_is_refused_and_said(fit, held):
