@@ -168,7 +168,10 @@ def answered(share: float, relative_residual: float, degrees: Sequence[int]) -> 
 def _residual_text(relative_residual: float, degrees: Sequence[int]) -> str:
     if not relative_residual > 0.0:
         return "nothing is left beyond the noise"
-    return f"what is left is {relative_residual:.2g} of the {highest_derivative(degrees)} (rms)"
+    derivative = highest_derivative(degrees)
+    if relative_residual > 1.0:
+        return f"the rms of what is left is {relative_residual:.2g} times that of the {derivative}"
+    return f"what is left is {relative_residual:.2g} of the {derivative} (rms)"
 
 
 def labels_of(placed: Sequence[Placed]) -> str:

@@ -60,7 +60,12 @@ from eoi_jax.discovery.remainder import (
     with_doubts,
     with_poor_fit,
 )
-from eoi_jax.discovery.requested import names_with_place, notes_without_place, requested
+from eoi_jax.discovery.requested import (
+    names_with_place,
+    notes_without_place,
+    requested,
+    with_requested,
+)
 from eoi_jax.discovery.result import Discovery
 from eoi_jax.discovery.rules import RULES
 from eoi_jax.discovery.task import Task
@@ -185,6 +190,7 @@ def discover(
         measured = *influence_notes(discovery), *reversed_notes(plant, discovery.found), *measured
     notes = *fit_notes(plant, discovery.added, discovery.found), *unplaced_notes, *runs, *measured
     discovery = replace(discovery, notes=(*discovery.notes, *notes))
+    discovery = discovery if effects is None else with_requested(discovery, tried_effects)
     return with_test_errors(discovery, unseen, fit_records, window) if unseen else discovery
 
 

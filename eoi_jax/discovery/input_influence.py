@@ -23,19 +23,21 @@ def influence_notes(discovery: Discovery) -> list[str]:
     Args:
         discovery: the answer.
     """
-    whole, plant = discovery.after, discovery.plant
-    if whole is None or not np.all(whole.nrmse < _RULES.follows):
+    long_runs, plant = discovery.after, discovery.plant
+    if long_runs is None or not np.all(long_runs.nrmse < _RULES.follows):
         return []
     inputs = np.flatnonzero(np.any(used_inputs(plant), axis=0)).tolist()
     if not any(_moves(record, j) for record in discovery.held_out for j in inputs):
         return []
-    runs = judged_runs(plant, discovery.held_out, window=whole.window, substeps=whole.substeps)
+    runs = judged_runs(
+        plant, discovery.held_out, window=long_runs.window, substeps=long_runs.substeps
+    )
     notes = []
     for j in inputs:
         if not any(_moves(record, j) for record in discovery.held_out):
             continue
         replaced = [_at_mean(record, j) for record in discovery.held_out]
-        trial = judged_runs(plant, replaced, window=whole.window, substeps=whole.substeps)
+        trial = judged_runs(plant, replaced, window=long_runs.window, substeps=long_runs.substeps)
         if (ratio := error_ratio(trial, runs)) < _RULES.no_influence:
             notes.append(FitNote(_NO_INFLUENCE.format(plant.inputs[j], ratio)))
     return notes

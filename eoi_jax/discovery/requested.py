@@ -1,6 +1,7 @@
 """Effects that the caller of `discover` asked for, and which of them have no place in the plant."""
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 
@@ -110,6 +111,16 @@ def notes_without_place(
     return notes
 
 
+def with_requested(discovery: Discovery, effects: Sequence[AbstractEffect]) -> Discovery:
+    """An answer that leaves something open, which says that the caller named what was tried."""
+    status = discovery.status
+    if status.code not in ("unexplained", "partial"):
+        return discovery
+    names = ", ".join(dict.fromkeys(effect.name for effect in effects))
+    text = f"{status.message}. {_REQUESTED.format(names)}"
+    return replace(discovery, status=replace(status, message=text))
+
+
 def _needs(effects: Sequence[AbstractEffect]) -> str:
     """On what some of these effects must act, in sentences."""
     needs = {
@@ -120,6 +131,7 @@ def _needs(effects: Sequence[AbstractEffect]) -> str:
     return "".join(f"{name} must act on {rule}. " for name, rule in needs.items())
 
 
+_REQUESTED = "Only what `effects` names was tried ({}): leave it out to try all"
 _IN_FREE_RUNS = (
     "{} is tried in free runs on held-out records alone, where the injection gives no answer"
 )

@@ -281,6 +281,11 @@ def test_what_is_left_is_a_share_of_the_output_where_no_output_has_a_derivative(
     assert answered(0.95, 1.1e-3, (2, 0)).message.endswith("0.0011 of the highest derivative (rms)")
 
 
+def test_more_than_the_output_is_left_as_a_ratio():
+    text = answered(0.95, 8.9, (0,)).message
+    assert text.endswith("; the rms of what is left is 8.9 times that of the output")
+
+
 def test_what_is_left_is_a_clause_of_its_own():
     assert answered(1.0, 0.0, (1,)).message.endswith("power; nothing is left beyond the noise")
     assert judged((), 0.0, 0.0, True, (0,)).message == "nothing is left beyond the noise"

@@ -1,8 +1,15 @@
 """Effects that are asked for and cannot be tried."""
 
+from dataclasses import replace
+
 import numpy as np
+import pytest
+from found import discovery
 
 import eoi_jax as eoi
+from eoi_jax import effects
+from eoi_jax._status import Status
+from eoi_jax.discovery.requested import with_requested
 from eoi_jax.report.discovery import answer
 
 
@@ -26,3 +33,12 @@ def test_an_effect_that_needs_held_out_records_is_not_called_tested():
     assert found.status.code == "unexplained"
     assert "no effect was tried: those that are asked for need held-out" in found.status.message
     assert answer(found).startswith("The model lacks something, and no effect was tried: ")
+
+
+@pytest.mark.parametrize("code", ["unexplained", "partial", "complete"])
+def test_what_stays_open_says_that_the_caller_named_what_was_tried(code):
+    status = Status(code, "none of the tested effects explains it")
+    asked = [effects.Leak(), effects.ConstantOffset(), effects.Leak()]
+    message = with_requested(replace(discovery(), status=status), asked).status.message
+    told = ". Only what `effects` names was tried (leak, constant_offset): leave it out to try all"
+    assert message == status.message + (told if code != "complete" else "")
