@@ -593,6 +593,7 @@ def test_the_search_goes_on_from_what_is_left_without_stand_ins(monkeypatch):
     monkeypatch.setattr(Search, "narrowed", lambda _, model, *__, **___: model)
     monkeypatch.setattr(Search, "leanest", lambda _, best: stop if best is wide else best)
     monkeypatch.setattr(Search, "settled", lambda _, best: best)
+    monkeypatch.setattr(Search, "of_unknown_size", lambda *_: [])
     monkeypatch.setattr(
         Judge, "prefers", lambda _, trial, best: mean_error(trial) < mean_error(best)
     )
@@ -632,6 +633,7 @@ def test_an_effect_with_which_refinement_tells_no_parameter_any_more_goes(monkey
     monkeypatch.setattr(Search, "further_forms", lambda *_: [])
     monkeypatch.setattr(Search, "narrowed", lambda _, model, *__, **___: model)
     monkeypatch.setattr(Search, "leanest", lambda _, best: best)
+    monkeypatch.setattr(Search, "of_unknown_size", lambda *_: [])
     monkeypatch.setattr(
         Judge, "prefers", lambda _, trial, best: mean_error(trial) < mean_error(best)
     )
