@@ -387,6 +387,7 @@ def read_file(path: Path, table: DataTable, name: str, options: dict[str, Any]) 
             mask_faults=table.mask_faults,
             max_gigabytes=table.max_gigabytes,
             sheet=table.sheet,
+            empty_repeats=table.empty_repeats,
             **options,
         )
     except ValueError as error:

@@ -364,6 +364,8 @@ class DataTable(msgspec.Struct, frozen=True):
         units: unit by column, after scaling.
         unwrap: period by column, after scaling, of counters and angles that start again at the end
             of their range: ``{ encoder = 4096 }``.
+        empty_repeats: columns in which a value that repeats the one before is a missing sample, as
+            of a slower sensor whose last value is stored until the next one comes.
         slice: first and last (excluded) sample used.
         parts: ranges of samples by file, each a record of its own, in place of `slice`: where the
             logger was started again, as ``{ "run.csv" = [[0, 3017], [3017, 6024]] }``.
@@ -384,6 +386,7 @@ class DataTable(msgspec.Struct, frozen=True):
     scale: dict[str, float] = {}
     units: dict[str, str] = {}
     unwrap: dict[str, Positive] = {}
+    empty_repeats: tuple[str, ...] = ()
     slice: tuple[int, int] | None = None
     parts: dict[str, tuple[tuple[int, int], ...]] = {}
     hold: HoldWord | dict[str, InputHold] = "auto"

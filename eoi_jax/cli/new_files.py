@@ -72,8 +72,10 @@ def planned_inputs(config: Config, model: Plant, file: Path) -> tuple[Record, di
         name: {key: value for key, value in getattr(table, name).items() if key in columns}
         for name in ("scale", "units", "unwrap")
     }
+    repeats = tuple(key for key in table.empty_repeats if key in columns)
     read = {"inputs": inputs, "outputs": (table.time,), "references": (), "burn_in": 0.0}
-    table = msgspec.structs.replace(table, **read, **options, mask_faults=False)
+    read |= {"mask_faults": False, "empty_repeats": repeats}
+    table = msgspec.structs.replace(table, **read, **options)
     record = read_file(file, table, "data", {"hold": hold})
     gaps = np.flatnonzero(~record.input_valid)
     count = len(gaps)

@@ -20,6 +20,7 @@ from eoi_jax.data.column_names import short_names
 from eoi_jax.data.column_roles import SMOOTH, hold_of_entries
 from eoi_jax.data.inspection import Inspection, InspectionSettings
 from eoi_jax.data.record import Record
+from eoi_jax.data.repeats import repeat_note, without_repeats
 from eoi_jax.data.resampling import low_pass
 from eoi_jax.data.wrapping import JUMPS, course
 from eoi_jax.models.export.names import TEXT_WORDS, identifier
@@ -46,6 +47,11 @@ _SETTINGS = DraftSettings()
 _ONE_OUTPUT = (
     "The draft has one output, `{}`. {} may be outputs too: add them to the model and to "
     "`outputs`, or draft another one by `--outputs`."
+)
+
+_REPEATS = (
+    "`{}` has a new value once in {:.3g} rows and repeats it in the others: these are missing "
+    "samples by `empty_repeats` of the draft; without it they count as measured."
 )
 
 
@@ -99,11 +105,14 @@ def remarks(inspection: Inspection) -> list[str]:
     drafted = next(channel for channel in inspection.channels if channel.name == name)
     done = drafted.wraps is not None and drafted.wraps.usual
     lines = (*inspection.notes, *inspection.advice)
-    kept = [line for line in lines if not (done and JUMPS in line and f"`{name}`" in line)]
+    sentences = [line for line in lines if not (done and JUMPS in line and f"`{name}`" in line)]
+    if drafted.repeats:
+        sentences.remove(repeat_note(name, drafted.repeats))
+        sentences.append(_REPEATS.format(name, drafted.repeats))
     if further:
         listed = ", ".join(f"`{column}`" for column in further)
-        kept.append(_ONE_OUTPUT.format(name, listed))
-    return kept
+        sentences.append(_ONE_OUTPUT.format(name, listed))
+    return sentences
 
 
 def checked(text: str, target: Path) -> str:
@@ -164,6 +173,8 @@ def _record(inspection: Inspection, inputs: Sequence[str], output: Channel) -> R
         clock.factor * signals[clock.column][part] if clock.column else period * np.arange(count)
     )
     y = course(signals[output.name], output.wraps)[part]
+    if output.repeats:
+        y = without_repeats(y[:, None], (output.name,), [output.name], [])
     hold = _entry_holds(inspection, inputs) or "auto"
     return Record(stamps, u, y, inspection.path.name, input_names=inputs, hold=hold)
 
@@ -344,7 +355,7 @@ def _data_lines(
         lines.append(f"# other columns: {names}{drives}")
     if units:
         lines.append(f"units = {_table(units)}")
-    lines += _unwrap_lines(output)
+    lines += [*_unwrap_lines(output), *_repeat_lines(output)]
     fitted, held_out = _divided(files, [inspection.parts for inspection in inspections])
     lines += [fitted] if fitted else []
     mark = "# " if held_out[1].startswith("#") else ""
@@ -369,6 +380,17 @@ def _unwrap_lines(output: Channel) -> list[str]:
     number = output.wraps.period if output.wraps.usual else float(f"{output.wraps.period:.4g}")
     mark = "" if output.wraps.usual else "# "
     return [f"{mark}unwrap = {_table({output.name: number})}  # it {output.wraps.text}"]
+
+
+def _repeat_lines(output: Channel) -> list[str]:
+    """Makes the repeats of an output missing that keeps each value until the next one comes."""
+    if not output.repeats:
+        return []
+    return [
+        f"empty_repeats = {_list([output.name])}",
+        f"                               # once in {output.repeats:.3g} rows a new value comes;",
+        "                               # the others repeat the last one, and are no samples",
+    ]
 
 
 def _held_lines(inspection: Inspection, inputs: Sequence[str]) -> list[str]:

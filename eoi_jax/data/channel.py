@@ -19,12 +19,15 @@ class Channel:
         missing: number of cells that are empty or not finite.
         changes: share of steps in which the value changes; None for text.
         noise: estimated standard deviation of white measurement noise; see `Record.noise`. None
-            for an input that is held.
+            for an input that is held. Of a column that repeats its values, noise and band are those
+            of the values without the repeats.
         quantum: step of the values, if they are multiples of one step.
         saturated: level and share of samples of each end at which samples pile up.
         wraps: how it wraps, as a counter or an angle does; None: it does not. Noise, quantum,
             saturation and band are then those of the unwrapped values.
         band: frequency below which 99 % of the power lies [Hz]; None for a constant signal.
+        repeats: mean number of rows for which it keeps a value until the next one comes; None: it
+            does not.
         notes: what a record of this column does about the time stamps, and where it may be frozen.
     """
 
@@ -43,3 +46,4 @@ class Channel:
     band: float | None = None
     notes: tuple[str, ...] = ()
     wraps: Wrapping | None = None
+    repeats: float | None = None

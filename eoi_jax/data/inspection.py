@@ -15,7 +15,7 @@ from jaxtyping import Float
 from eoi_jax._checks import RecordWarning, check, check_choice, counted, percent
 from eoi_jax._display import Result
 from eoi_jax.data.channel import Channel
-from eoi_jax.data.cleaning import SHORTEST
+from eoi_jax.data.cleaning import RATE, SHORTEST
 from eoi_jax.data.clipping import saturations
 from eoi_jax.data.column_names import (
     RATING,
@@ -33,6 +33,7 @@ from eoi_jax.data.readers.read_record import read_table, words_among_numbers
 from eoi_jax.data.readers.table import Table
 from eoi_jax.data.readers.words import is_grouped
 from eoi_jax.data.record import Record
+from eoi_jax.data.repeats import repeat_note, rows_per_value, without_repeats
 from eoi_jax.data.resampling import Real
 from eoi_jax.data.standstill import standstill_notes
 from eoi_jax.data.time_axis import (
@@ -333,15 +334,17 @@ def _measured(
 ) -> Channel:
     """The channel with noise, quantum, saturation and band, from a record of only this channel."""
     part = slice(0, _SETTINGS.examined)
-    name = channel.name
+    name, rows = channel.name, rows_per_value(values[part])
+    samples = without_repeats(values[:, None], (name,), [name], [])[:, 0] if rows else values
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", RecordWarning)
         try:
             time = clock.factor * numbers[clock.column][part] if clock.column else None
-            record = _record(time, values[part], clock.sample_period or 1.0, name)
+            record = _record(time, samples[part], clock.sample_period or 1.0, name)
         except ValueError:  # too few samples for a record
             return channel
-    notes = tuple(note for note in record.notes if "not finite" not in note and "Hold" not in note)
+    silent = ("not finite", "Hold", *([RATE] if rows else []))
+    notes = tuple(note for note in record.notes if not any(text in note for text in silent))
     piles = tuple((end.level, end.share) for end in saturations(record) if end.channel == name)
     quantum = float(record.quantum[0])
     band = None
@@ -353,6 +356,7 @@ def _measured(
         quantum=quantum or None,
         saturated=piles,
         band=band,
+        repeats=rows or None,
         notes=(*notes, *standstill_notes(name, values[part]), *deadband_note(name, values[part])),
     )
 
@@ -405,6 +409,7 @@ def _advice(channels: Sequence[Channel], clock: Clock, samples: int, doubled: bo
         text += "`parts` of [data] in a config reads the parts as records of their own"
         advice.append(text + ("." if doubled else "; else sort the rows."))
     moving = [*by_role["output"], *by_role["input"]]
+    advice += [repeat_note(at.name, at.repeats) for at in by_role["output"] if at.repeats]
     if not count:
         advice += _distinct([note for channel in moving for note in channel.notes])
     if not by_role["input"]:

@@ -51,6 +51,7 @@ from eoi_jax.data.input_holds import (
 )
 from eoi_jax.data.noise import quanta
 from eoi_jax.data.overflow import without_codes
+from eoi_jax.data.repeats import repeat_notes
 from eoi_jax.data.resampling import (
     Real,
     acting_inputs,
@@ -210,8 +211,8 @@ class Record(Result):
         labels = {
             "name": name, "input_names": u_names, "output_names": y_names,
             "units": dict(units or {}), "hold": input_hold, "hold_declared": hold != "auto",
-            "burn_in": float(burn_in), "notes": (*notes, *hold_notes, *grid.notes),
-            "smoothed": (), "_noise": noise, "_quantum": quantum,
+            "burn_in": float(burn_in), "smoothed": (), "_noise": noise, "_quantum": quantum,
+            "notes": (*notes, *hold_notes, *grid.notes, *repeat_notes(y_names, y, good[1])),
         }  # fmt: skip
         self._assign(labels)
 

@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from eoi_jax._checks import counted
 from eoi_jax.data.input_holds import HOLD_TAKEN
 from eoi_jax.data.record import Record
+from eoi_jax.data.repeats import REPEATS
 
 
 def record_notes(records: Sequence[Record]) -> list[str]:
@@ -27,6 +28,20 @@ def record_notes(records: Sequence[Record]) -> list[str]:
                 form = re.sub(r"[\d.]+(e[+-]?\d+)?", "#", note)
                 alike.setdefault(form, {}).setdefault(record.name, note.rstrip("."))
     return [_sentence(notes) for notes in alike.values()]
+
+
+def repeating_outputs(records: Sequence[Record]) -> list[str]:
+    """The sentence of each output that repeats its last value until the next one comes.
+
+    Args:
+        records: as they were read.
+    """
+    return [
+        f"{record.name}: {note.rstrip('.')}"
+        for record in records
+        for note in record.notes
+        if REPEATS in note
+    ]
 
 
 def _sentence(notes: dict[str, str]) -> str:

@@ -29,6 +29,7 @@ from eoi_jax.data.readers.stamps import TIMES_OF_DAY, are_days
 from eoi_jax.data.readers.table import Columns, Table, add_columns
 from eoi_jax.data.readers.words import is_grouped
 from eoi_jax.data.record import Record
+from eoi_jax.data.repeats import without_repeats
 from eoi_jax.data.resampling import Real
 from eoi_jax.data.time_axis import (
     date_hints,
@@ -58,6 +59,7 @@ def read_record(
     unwrap: Mapping[str, Real] | Mapping[int, Real] | None = None,
     mask_faults: bool = True,
     sheet: str | None = None,
+    empty_repeats: str | int | Sequence[str | int] = (),
 ) -> Record:
     """A record from named columns of a file.
 
@@ -97,6 +99,8 @@ def read_record(
         mask_faults: whether samples that leave the course of an output alone are masked, as in
             `Record`.
         sheet: of an Excel file; None: the first that is not empty.
+        empty_repeats: columns whose last value is repeated until the next one comes, as in merged
+            logs of a slower sensor: a cell with the value of the one before is a missing sample.
 
     Returns:
         The record, with `notes` on the changes made to the data.
@@ -104,9 +108,9 @@ def read_record(
     Raises:
         ValueError: a file that is missing, of an unknown kind or of another kind than its name
             says; a column that is unknown, not numeric or of a different length; no stamps and no
-            sample period; a `scale`, `units`, `unwrap` or `renames` for a column that is not read;
-            a period that is not positive or is smaller than the range of its column; a file that
-            unpacks to more than `max_gigabytes`; and the errors of `Record`.
+            sample period; a `scale`, `units`, `unwrap`, `renames` or `empty_repeats` for a column
+            that is not read; a period that is not positive or is smaller than the range of its
+            column; a file that unpacks to more than `max_gigabytes`; and the errors of `Record`.
     """
     path = Path(path)
     table = read_table(path, max_gigabytes, sheet)
@@ -132,13 +136,12 @@ def read_record(
     unit_names = _options_by_column("units", units, selected)
     labels = {key: new_names.get(key, key) for key in selected}
     if isinstance(hold, Mapping):
-        words = _options_by_column("hold", hold, selected)
-        hold = {labels[key]: word for key, word in words.items()}
+        hold = {labels[key]: hold[key] for key in _options_by_column("hold", hold, selected)}
     if clock is not None and clock not in factors:
         _check_seconds(clock, table, selected[clock])
     stamps = float(sample_period or 0) * np.arange(count) if clock is None else selected[clock]
     hints = _date_notes(clock, table, selected, rows, clock in factors)
-    signals, notes = _unwrapped(selected, unwrap, [*u_columns, *y_columns], stamps, rows)
+    signals, notes = _signals(selected, u_columns + y_columns, stamps, rows, unwrap, empty_repeats)
     record = Record(
         stamps[rows], signals[:, : len(u_columns)], signals[:, len(u_columns) :],
         _stem(path) if name is None else name,
@@ -224,20 +227,23 @@ def _factors(scale: Mapping[Any, Any] | None, picked: Columns) -> dict[str, floa
     return {key: float(factor) for key, factor in factors.items()}
 
 
-def _unwrapped(
+def _signals(
     selected: Columns,
-    unwrap: Mapping[Any, Any] | None,
     keys: Sequence[str],
     stamps: np.ndarray,
     rows: slice,
+    unwrap: Mapping[Any, Any] | None,
+    empty_repeats: str | int | Sequence[str | int],
 ) -> tuple[np.ndarray, list[str]]:
-    """Inputs and outputs, unwrapped before a uniform grid divides their jumps, and notes on it."""
+    """Inputs and outputs, and notes: without repeats, and unwrapped before a grid divides jumps."""
     periods = {_column_name("unwrap", key): period for key, period in (unwrap or {}).items()}
     periods = checked_periods(periods, keys)
-    signals = np.stack([selected[key][rows] for key in keys], axis=1)
+    signals, notes = np.stack([selected[key][rows] for key in keys], axis=1), []
+    repeating = _column_names("empty_repeats", empty_repeats)
+    signals = without_repeats(signals, keys, repeating, notes)
     measured = np.isfinite(signals)
-    course, notes = unwrapped_channels(signals, measured, keys, periods, stamps[rows])
-    return np.where(measured, course, signals), notes
+    course, turns = unwrapped_channels(signals, measured, keys, periods, stamps[rows])
+    return np.where(measured, course, signals), [*turns, *notes]
 
 
 def _pick(
