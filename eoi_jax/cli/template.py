@@ -19,6 +19,7 @@ from eoi_jax.data.channel import Channel
 from eoi_jax.data.column_names import short_names
 from eoi_jax.data.column_roles import SMOOTH, hold_of_entries
 from eoi_jax.data.inspection import Inspection, InspectionSettings
+from eoi_jax.data.readers.long_form import stacked_topics
 from eoi_jax.data.record import Record
 from eoi_jax.data.repeats import repeat_note, without_repeats
 from eoi_jax.data.resampling import low_pass
@@ -75,6 +76,8 @@ def draft(inspections: Sequence[Inspection], target: Path, sheet: str | None = N
             of the first.
     """
     inspection = inspections[0]
+    stacked = stacked_topics(inspection.signals, inspection.clock)
+    check(not stacked, "file", "must have its rows in the order of time", inspection.path, stacked)
     outputs = _outputs(inspection)
     inputs = inspection.inputs
     output = next(channel for channel in inspection.channels if channel.name == outputs[0])
@@ -165,8 +168,8 @@ def _record(inspection: Inspection, inputs: Sequence[str], output: Channel) -> R
     """The first samples, as read with the config."""
     clock, signals = inspection.clock, inspection.signals
     start, stop = inspection.parts[0]
-    count = min(stop - start, InspectionSettings.examined)
-    part = slice(start, start + count)
+    part = slice(start, min(stop, start + InspectionSettings.examined))
+    count = len(signals[output.name][part])
     period = clock.sample_period or 1.0
     u = np.stack([signals[key][part] for key in inputs], axis=1) if inputs else np.zeros((count, 0))
     stamps = (
@@ -176,7 +179,8 @@ def _record(inspection: Inspection, inputs: Sequence[str], output: Channel) -> R
     if output.repeats:
         y = without_repeats(y[:, None], (output.name,), [output.name], [])
     hold = _entry_holds(inspection, inputs) or "auto"
-    return Record(stamps, u, y, inspection.path.name, input_names=inputs, hold=hold)
+    names = {"input_names": inputs, "output_names": [output.name]}
+    return Record(stamps, u, y, inspection.path.name, hold=hold, **names)
 
 
 def _entry_holds(inspection: Inspection, inputs: Sequence[str]) -> dict[str, str]:

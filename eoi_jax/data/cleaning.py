@@ -185,66 +185,6 @@ def check_labels(u_names: tuple[str, ...], y_names: tuple[str, ...], units: dict
         check_choice("units", key, ("time", *names))
 
 
-def drop_repeats(
-    stamps: TimeAxis, u: Inputs, y: Outputs, notes: list[str]
-) -> tuple[Float[np.ndarray, " kept"], Float[np.ndarray, "kept nu"], Float[np.ndarray, "kept ny"]]:
-    """Strictly increasing stamps: exact repeats are dropped; other repeats are errors.
-
-    Rows with the newest first are turned round.
-    """
-    spacing = np.diff(stamps)
-    if np.all(spacing <= 0) and np.any(spacing < 0):
-        notes.append("The newest sample comes first: the rows are read from the last one on.")
-        stamps, u, y, spacing = stamps[::-1], u[::-1], y[::-1], -spacing[::-1]
-    check(
-        bool(np.any(spacing != 0)),
-        "time",
-        "must not be constant",
-        f"{stamps[0]} s throughout",
-        "A sample period of zero has no meaning.",
-    )
-    decreases = np.flatnonzero(spacing < 0)
-    if decreases.size:
-        i = int(decreases[0]) + 1
-        check(
-            False,
-            "time",
-            "must increase",
-            f"{stamps[i]} s at index {i} after {stamps[i - 1]} s",
-            "Sort the rows, or split the record where time restarts: by `slice`, or `parts` in the "
-            "config of a command, which `eoi init` writes.",
-        )
-    repeats = np.flatnonzero(spacing == 0) + 1
-    if not repeats.size:
-        return stamps, u, y
-    rows = np.hstack([u, y])
-    previous, current = rows[repeats - 1], rows[repeats]
-    equal = np.all((previous == current) | (np.isnan(previous) & np.isnan(current)), axis=1)
-    if not equal.all():
-        i = int(repeats[np.flatnonzero(~equal)[0]])
-        check(
-            False,
-            "time",
-            "must not repeat with different values",
-            f"{stamps[i]} s at index {i - 1} and at index {i}",
-            "If the clock is too coarse, or is put back at the end of daylight saving time, give "
-            "a sample period in its place (`sample_period`, or `Record.from_period`). Of "
-            "replicates at one instant give the means, or each series as a record of its own.",
-        )
-    distinct = np.concatenate([[True], spacing > 0])
-    notes.append(
-        "Stamps that repeat the previous stamp with equal values were dropped: "
-        f"{repeats.size} of {stamps.size}."
-    )
-    check(
-        int(distinct.sum()) >= SHORTEST,
-        "time",
-        f"must have at least {SHORTEST} different stamps",
-        int(distinct.sum()),
-    )
-    return stamps[distinct], u[distinct], y[distinct]
-
-
 def scored_samples(
     u_names: tuple[str, ...],
     y_names: tuple[str, ...],

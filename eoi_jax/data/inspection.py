@@ -24,11 +24,12 @@ from eoi_jax.data.column_names import (
 )
 from eoi_jax.data.column_roles import STAMPS, assign_roles
 from eoi_jax.data.deadband import deadband_note
+from eoi_jax.data.equal_stamps import at_distinct_stamps
 from eoi_jax.data.input_holds import STAIRCASE
 from eoi_jax.data.overflow import without_codes
 from eoi_jax.data.readers.delimited import first_word
 from eoi_jax.data.readers.limits import MAX_GIGABYTES
-from eoi_jax.data.readers.long_form import found_clock, mixed_tags
+from eoi_jax.data.readers.long_form import found_clock, mixed_tags, stacked_topics
 from eoi_jax.data.readers.read_record import read_table, words_among_numbers
 from eoi_jax.data.readers.table import Table
 from eoi_jax.data.readers.words import is_grouped
@@ -71,13 +72,14 @@ class Inspection(Result):
 
     Attributes:
         path: of the file.
-        samples: number of rows of the columns.
+        samples: number of rows of the columns in the file.
         clock: the time column, guessed.
         channels: the columns of that length.
         left_out: other contents of the file, and why they are no columns.
         notes: how the file was read.
         advice: what to check before a model is fitted.
         signals: values of the columns of numbers and dates, in float64; dates in seconds [s].
+            Rows of one stamp are merged where that loses no value.
     """
 
     path: Path
@@ -108,8 +110,9 @@ class Inspection(Result):
     @property
     def parts(self) -> tuple[tuple[int, int], ...]:
         """Ranges of rows, first and last (excluded), between restarts of the logger."""
-        column = self.clock.column
-        return parts_between_restarts(self.signals[column] if column else np.zeros(self.samples))
+        if self.clock.column is None or not self.clock.backwards[0]:
+            return ((0, self.samples),)
+        return parts_between_restarts(self.signals[self.clock.column])
 
     def summary(self) -> dict[str, Any]:
         """The inspection as JSON values; numbers that are not finite become None."""
@@ -161,13 +164,14 @@ def inspect(
     stored = read_table(path, max_gigabytes, sheet)
     table, unstamped = stamped_rows(oldest_first(stored))
     samples = _samples(path, table)
-    codes: list[str] = []
+    codes, merged = list[str](), list[str]()
     numbers = _numbers(table, samples, codes)
     named = {"time": None if time is None else [time], "input": inputs, "output": outputs}
     _check_named(named, numbers, table)
     clock = found_clock(table, numbers, time)
     if clock.column is None:
         clock = _declared_period(table, clock)
+    numbers = at_distinct_stamps(numbers, clock, merged)
     channels = [
         _channel(key, values, table, clock, numbers)
         for key, values in table.columns.items()
@@ -186,9 +190,9 @@ def inspect(
     broken = words_among_numbers(path, stored)
     if clock.sample_period is None and not broken:
         advice.append("No column looks like time: give sample_period, the seconds between samples.")
-    doubled = any("an hour twice" in text for text in shifts)
-    checks = _advice(channels, clock, samples, doubled)
-    advice = (*unstamped, *broken, *codes, *advice, *checks)
+    backward = stacked_topics(numbers, clock) or _going_back(clock, shifts)
+    checks = _advice(channels, clock, max(map(len, numbers.values())), backward)
+    advice = (*unstamped, *broken, *codes, *merged, *advice, *checks)
     return Inspection(
         path, samples, clock, tuple(channels), (*left_out, *table.objects.values()),
         (*table.notes, *_unit_notes(channels, table)), advice, numbers,
@@ -394,23 +398,29 @@ def _distinct(notes: Sequence[str]) -> list[str]:
     return list(shortest.values())
 
 
-def _advice(channels: Sequence[Channel], clock: Clock, samples: int, doubled: bool) -> list[str]:
-    """Sentences on what a user should check first; `doubled`: whether an hour came twice."""
+def _going_back(clock: Clock, shifts: Sequence[str]) -> str:
+    """What to do where time goes back, beside sentences on summer time; empty where it does not."""
+    count, first = clock.backwards
+    if not count:
+        return ""
+    # Sorted by local times, the rows of an hour that came twice would alternate.
+    doubled = any("an hour twice" in text for text in shifts)
+    text = f"Time goes back {counted(count, 'time')}, first at row {first}, counted from 0. "
+    text += "" if doubled else "If the logger started again there, "
+    text += "`parts` of [data] in a config reads the parts as records of their own"
+    return text + ("." if doubled else "; else sort the rows.")
+
+
+def _advice(channels: Sequence[Channel], clock: Clock, samples: int, backward: str) -> list[str]:
+    """Sentences on what a user should check first; `backward`: that on a time that goes back."""
     by_role = {
         role: [channel for channel in channels if channel.role == role]
         for role in ("input", "output")
     }
-    advice = []
-    count, first = clock.backwards
-    if count:
-        # Sorted by local times, the rows of an hour that came twice would alternate.
-        text = f"Time goes back {counted(count, 'time')}, first at row {first}, counted from 0. "
-        text += "" if doubled else "If the logger started again there, "
-        text += "`parts` of [data] in a config reads the parts as records of their own"
-        advice.append(text + ("." if doubled else "; else sort the rows."))
+    advice = [backward] if backward else []
     moving = [*by_role["output"], *by_role["input"]]
     advice += [repeat_note(at.name, at.repeats) for at in by_role["output"] if at.repeats]
-    if not count:
+    if not backward:
         advice += _distinct([note for channel in moving for note in channel.notes])
     if not by_role["input"]:
         advice.append("No column looks like an input: a free system, or it must be named by hand.")

@@ -25,7 +25,6 @@ from eoi_jax.data.cleaning import (
     check_labels,
     check_lengths,
     check_untraced,
-    drop_repeats,
     interpolate,
     interpolated_noise,
     is_slow,
@@ -38,6 +37,7 @@ from eoi_jax.data.cleaning import (
     scored_samples,
 )
 from eoi_jax.data.digest import digest
+from eoi_jax.data.equal_stamps import distinct_stamps
 from eoi_jax.data.input_holds import (
     HOLD_TAKEN,
     NO_LONGER_HELD,
@@ -81,9 +81,9 @@ class Record(Result):
     period of a uniform clock, or within the rounding of their printed digits, are used unchanged;
     otherwise outputs are resampled by a cubic spline, and inputs by their hold (held inputs by
     their mean over each step). Missing samples, gaps, NaN and infinities are masked, each channel
-    by itself, and the values are interpolated linearly there to keep arithmetic finite. Repeated
-    stamps with equal values are dropped. Each of these changes gives a `RecordWarning` and a
-    sentence in `notes`.
+    by itself, and the values are interpolated linearly there to keep arithmetic finite. Rows of one
+    stamp are merged where no channel has two values. Each of these changes gives a `RecordWarning`
+    and a sentence in `notes`.
 
     Where an output is missing it is not scored, and simulations run on. Where an input is missing
     it is unknown, and simulations start again behind it. A missing sample of an input leaves no
@@ -184,7 +184,7 @@ class Record(Result):
         y_names = channel_names("output_names", output_names, outputs, y.shape[1], "y")
         check_labels(u_names, y_names, dict(units or {}))
         notes: list[str] = []  # these also give warnings; the choice of a hold does not
-        stamps, u, y = drop_repeats(stamps, u, y, notes)
+        stamps, u, y = distinct_stamps(stamps, u, y, notes)
         u, y = without_codes(u, u_names, notes), without_codes(y, y_names, notes)
         u, reach = between_entries(stamps, u, u_names, hold, notes)
         good = scored_samples(u_names, y_names, u, y, mask_faults, notes)

@@ -139,8 +139,10 @@ def _runs_evenly(key: str, values: Float[np.ndarray, " time"], table: Table) -> 
     return not role_of_name(key) and _ticks(np.diff(values))
 
 
-def _score(key: str, values: Float[np.ndarray, " time"], table: Table) -> float:
-    """Score of a column as time; 0: it cannot be time."""
+def _score(
+    key: str, values: Float[np.ndarray, " time"], table: Table, most_rows: float = 50.0
+) -> float:
+    """Score of a column as time, with so many rows a stamp at most; 0: it cannot be time."""
     dates = table.columns[key].dtype.kind in "Mm"
     steps = np.diff(values)
     if not (len(steps) and np.all(np.isfinite(values))):
@@ -148,8 +150,10 @@ def _score(key: str, values: Float[np.ndarray, " time"], table: Table) -> float:
     forward = float(np.mean(steps > 0))
     backward = float(np.mean(steps < 0))
     named = is_called_time(key)
-    # A clock with restarts or repeats is accepted by its name or type, or where it ticks evenly.
+    # A clock with restarts or repeats is accepted by its name or type, or where it ticks evenly;
+    # where it never falls, with as many rows a stamp as a log with a row for each topic has.
     grows = forward > 0.5 and backward < 0.01 if named or dates else forward == 1.0
+    grows = grows or ((named or dates) and backward == 0 and forward * most_rows >= 1.0)
     grows = grows or (named and forward > 0.5 and len(parts_between_restarts(values)) > 1)
     if not grows and not _ticks(steps):
         return 0.0

@@ -81,15 +81,15 @@ def test_fits_and_inspect_say_so(log):
 
 
 def test_repeats_of_a_named_column_are_missing(log):
-    read = {"path": log, "time": "t", "inputs": "throttle", "outputs": "speed"}
+    read = log, "t", "throttle", "speed"
     with pytest.warns(eoi.RecordWarning, match="`speed` is measured every 20"):
-        record = eoi.read_record(**read, empty_repeats="speed")
+        record = eoi.read_record(*read, empty_repeats="speed")
     values = kept(NOISY, EVEN)
     assert np.array_equal(record.output_valid[:, 0], np.diff(values, prepend=np.nan) != 0.0)
     assert any(note.endswith("values repeat the one before: left out.") for note in record.notes)
     assert not any("changes once in" in note for note in record.notes)
     with pytest.raises(ValueError, match="`empty_repeats` must be one of throttle, speed, got"):
-        eoi.read_record(**read, empty_repeats="gps")
+        eoi.read_record(*read, empty_repeats="gps")
 
 
 def test_a_draft_names_the_column(log, tmp_path):

@@ -9,7 +9,14 @@ from jaxtyping import Float
 
 from eoi_jax._checks import counted
 from eoi_jax.data.readers.table import Table
-from eoi_jax.data.time_axis import NAMED, Clock, find_clock, is_called_time, numbers_runs
+from eoi_jax.data.time_axis import (
+    NAMED,
+    Clock,
+    find_clock,
+    is_called_time,
+    numbers_runs,
+    parts_between_restarts,
+)
 
 # Not "Tag" alone, which is a day in German.
 _TAG = re.compile(r"(tag|point|signal)[ _.]?(name|id)$|signal$|variable$", re.IGNORECASE)
@@ -28,7 +35,7 @@ def mixed_tags(
     A column of text holds tags if time repeats or goes back between them, and increases from row to
     row of each; or if its name says so and they alternate, since stamps of changes need not repeat.
     Of tags one below the other, dates begin anew with each; a logger that was started again counts
-    from zero.
+    from zero. Tags with columns of their own, empty in the rows of the others, are not mixed.
 
     Args:
         table: contents of a file.
@@ -56,6 +63,8 @@ def mixed_tags(
         tags = np.asarray(list(map(str, column[rows])))
         tags = tags[::-1] if backwards else tags
         names = list(dict.fromkeys(tags.tolist()))
+        if _has_columns(table, clock, tags[::-1] if backwards else tags, rows):
+            continue
         is_mixed = np.sum(tags[1:] != tags[:-1]) >= len(names) or restarts
         if not (is_mixed and 1 < len(names) <= most_tags * len(tags)):
             continue
@@ -71,6 +80,43 @@ def mixed_tags(
         index_text = repr(index if len(index) > 1 else clock)
         return [f"{sentence}{index_text}, columns={key!r}, values=…)` of pandas does."]
     return []
+
+
+def _has_columns(table: Table, clock: str, tags: np.ndarray, rows: slice) -> bool:
+    """Whether each column of numbers is filled in the rows of one tag alone."""
+    columns = [
+        np.isfinite(column[rows])
+        for name, column in table.columns.items()
+        if name != clock and column.dtype.kind in "iuf" and len(column[rows]) == len(tags)
+    ]
+    return bool(columns) and all(len(np.unique(tags[filled])) == 1 for filled in columns)
+
+
+def stacked_topics(numbers: Mapping[str, Float[np.ndarray, " time"]], clock: Clock) -> str:
+    """A sentence where topics are one below the other, each with columns of its own; else empty.
+
+    Time begins anew with each topic, and a column has values in the rows of one of them.
+
+    Args:
+        numbers: the columns of numbers and dates, in float64.
+        clock: of the table.
+    """
+    if clock.column is None or not clock.backwards[0]:
+        return ""
+    ranges = parts_between_restarts(numbers[clock.column])
+    fills = {
+        key: [bool(np.isfinite(values[start:stop]).any()) for start, stop in ranges]
+        for key, values in numbers.items()
+        if not np.isfinite(values).all()
+    }
+    filled = np.asarray([*fills.values()], bool).reshape(len(fills), len(ranges))
+    if len(ranges) < 2 or not (np.all(filled.sum(axis=1) == 1) and np.all(filled.any(axis=0))):
+        return ""
+    topics = [
+        f"{', '.join(key for key in fills if fills[key][i])} from row {start}"
+        for i, (start, _) in enumerate(ranges[:5])
+    ]
+    return _STACKED.format("; ".join(topics), clock.column)
 
 
 def found_clock(
@@ -99,3 +145,10 @@ def _runs(table: Table, clock: str) -> list[str]:
     columns = (name for name in table.columns if name != clock)
     numbers = (name for name in columns if table.columns[name].dtype.kind in "iuf")
     return [name for name in numbers if numbers_runs(table.columns[name], stamps)][:1]
+
+
+_STACKED = (
+    "Time goes back where other columns begin to be filled ({}, counted from 0): topics are one "
+    "below the other. Sort the rows, as `sort_values({!r})` of pandas does; rows of one stamp are "
+    "merged."
+)
