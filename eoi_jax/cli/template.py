@@ -184,7 +184,7 @@ def _record(inspection: Inspection, inputs: Sequence[str], output: Channel) -> R
 
 
 def _entry_holds(inspection: Inspection, inputs: Sequence[str]) -> dict[str, str]:
-    """A hold of each input where one is logged seldom, which has no values without; else none."""
+    """A hold of each input where one has empty cells between its entries; else none."""
     seldom = {key: hold_of_entries(inspection.signals[key]) for key in inputs}
     if not any(seldom.values()):
         return {}
@@ -403,7 +403,7 @@ def _held_lines(inspection: Inspection, inputs: Sequence[str]) -> list[str]:
     if seldom := _entry_holds(inspection, inputs):
         return [
             f"hold = {_table(seldom)}",
-            "                               # a guess, as inputs are logged seldom: zero where",
+            "                               # a guess, as not all rows have inputs: zero where",
             "                               # entries jump; empty cells have no value without it",
         ]
     holds = {channel.name: "zero" for channel in channels if channel.noise is None}

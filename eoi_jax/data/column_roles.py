@@ -8,7 +8,7 @@ from jaxtyping import Float
 
 from eoi_jax._checks import percent
 from eoi_jax.data.channel import Channel
-from eoi_jax.data.cleaning import RATE, is_slow
+from eoi_jax.data.cleaning import RATE
 from eoi_jax.data.column_names import (
     RATING,
     rates_samples,
@@ -18,7 +18,7 @@ from eoi_jax.data.column_names import (
 )
 from eoi_jax.data.input_holds import STAIRCASE
 from eoi_jax.data.readers.table import Table
-from eoi_jax.data.sparse_inputs import between_entries
+from eoi_jax.data.sparse_inputs import between_entries, has_entries, is_seldom
 from eoi_jax.data.time_axis import Clock, numbers_runs
 from eoi_jax.data.wrapping import course
 
@@ -93,31 +93,33 @@ def assign_roles(
     separate_drives(roles, {at.name: at.saturated[0][0] for at in channels if at.saturated})
     separate_references(roles, {channel.name for channel in channels if _is_held(channel)})
     roles |= ratings
-    labelled = [
+    return [
         replace(channel, role=roles[channel.name][0], why=roles[channel.name][1])
         if channel.name in roles
         else channel
         for channel in clocked
     ]
-    return [
-        _as_input(channel, numbers, clock) if channel.role == "input" else channel
-        for channel in labelled
-    ]
 
 
-def _as_input(
+def as_input(
     channel: Channel, numbers: Mapping[str, Float[np.ndarray, " time"]], clock: Clock
 ) -> Channel:
-    """An input without what is said of outputs only: noise of jumps, scores at rare entries."""
+    """An input without what is said of outputs only: noise of jumps, scores at rare entries.
+
+    Args:
+        channel: in the role of an input.
+        numbers: values by column.
+        clock: of the file.
+    """
     values = numbers.get(channel.name)
     if values is None:
         return channel
     seldom: list[str] = []
     stamps = numbers[clock.column] if clock.column else np.arange(len(values), dtype=float)
-    between_entries(stamps, values[:, None], (channel.name,), "auto", seldom)
-    if seldom:
-        others = (note for note in channel.notes if RATE not in note)
-        channel = replace(channel, notes=(*others, *seldom))
+    if np.all(np.diff(stamps) > 0):
+        between_entries(stamps, values[:, None], (channel.name,), "auto", seldom)
+    others = (note for note in channel.notes if RATE not in note)
+    channel = replace(channel, notes=(*others, *seldom))
     # The differences of a held signal measure its jumps, not its noise.
     jumps = _is_held(channel) or _by_events(values, clock)
     return replace(channel, noise=None) if jumps else channel
@@ -128,16 +130,16 @@ def _is_held(channel: Channel) -> bool:
 
 
 def hold_of_entries(values: Float[np.ndarray, " time"]) -> str:
-    """A guess of the hold of an input that is logged seldom: zero where its entries jump.
+    """A guess of the hold of an input that has entries in some rows: zero where they jump.
 
     Args:
         values: NaN between the entries.
 
     Returns:
-        ``"zero"`` or ``"linear"``; "" where more than half of the rows have an entry.
+        ``"zero"`` or ``"linear"``; "" where nearly all rows have an entry.
     """
     measured = np.isfinite(values)
-    if not (is_slow(measured) and 2 * np.sum(measured) <= len(values)):
+    if not has_entries(measured):
         return ""
     steps = np.abs(np.diff(values[measured]))
     return "zero" if steps.max() > _SETTINGS.max_motion * np.ptp(values[measured]) else "linear"
@@ -149,7 +151,7 @@ def _by_events(values: Float[np.ndarray, " time"], clock: Clock) -> bool:
     A slow sensor, such as a laboratory, has entries at even distances, or rows that are even.
     """
     measured = np.isfinite(values)
-    if not hold_of_entries(values):
+    if not is_seldom(measured):
         return False
     rows, changes = np.diff(np.flatnonzero(measured)), np.diff(values[measured])
     uneven = (clock.jitter or 0.0, float(np.std(rows) / np.mean(rows)))

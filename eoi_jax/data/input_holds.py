@@ -17,8 +17,8 @@ TRACED_HOLDS = HOLDS[:2]  # those that JAX's arrays may have: no spline
 HOLD_TAKEN = "Hold taken as"  # how a note on a hold that the samples suggest begins
 NO_LONGER_HELD = "; held inputs are smooth behind it"  # of a filter: `logged_hold` is theirs
 SELDOM = (
-    'Where an input is logged only when it changes, or seldom, declare its `hold`: "zero" keeps '
-    'each value up to the next, "linear" goes straight to it.'
+    "Where an input is logged only when it changes, seldom, or in rows of its own, declare its "
+    '`hold`: "zero" keeps each value up to the next, "linear" goes straight to it.'
 )
 STAIRCASE = 0.2  # share of steps that may change a held input's value
 

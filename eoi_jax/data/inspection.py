@@ -22,7 +22,7 @@ from eoi_jax.data.column_names import (
     is_reference,
     unit_of_name,
 )
-from eoi_jax.data.column_roles import STAMPS, assign_roles
+from eoi_jax.data.column_roles import STAMPS, as_input, assign_roles
 from eoi_jax.data.deadband import deadband_note
 from eoi_jax.data.equal_stamps import at_distinct_stamps
 from eoi_jax.data.input_holds import STAIRCASE
@@ -178,6 +178,7 @@ def inspect(
         if len(values) == samples
     ]
     channels = _with_named_roles(assign_roles(channels, table, clock, numbers), named)
+    channels = [as_input(at, numbers, clock) if at.role == "input" else at for at in channels]
     left_out = [
         f"`{key}` of {counted(len(values), 'value')}"
         for key, values in table.columns.items()

@@ -89,9 +89,10 @@ class Record(Result):
     it is unknown, and simulations start again behind it. A missing sample of an input leaves no
     doubt, and counts as known, in a gap of one or two samples of a held input (``"zero"``) with the
     same value on both sides, and as a single sample of another input between two measured ones. An
-    input that has a value at every second sample or less often, as in a log of changes, follows its
-    hold in between if that is declared. An output that is measured so seldom has a rate of its own:
-    free runs are scored at its samples, and passes interpolate it (`bridged`).
+    input that has values in some rows only, as in a log of changes or one with a row for each
+    channel, follows its hold in between if that is declared. An output that is measured at two of
+    three samples or less often has a rate of its own: free runs are scored at its samples, and
+    passes interpolate it (`bridged`).
 
     Args:
         time: stamps (N,) [s], increasing; datetimes count in seconds from the first.

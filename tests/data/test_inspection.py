@@ -11,7 +11,7 @@ from scipy.io import savemat
 
 import eoi_jax as eoi
 from eoi_jax._checks import RecordWarning
-from eoi_jax.cli import build, config
+from eoi_jax.cli import actions, build, config
 from eoi_jax.cli.template import checked, draft
 from eoi_jax.data.column_names import role_of_name, short_names, stem, unit_of_name
 from eoi_jax.data.inspection import Inspection, _band, inspect
@@ -660,6 +660,19 @@ def test_what_is_logged_when_it_changes_is_judged_by_its_entries(tmp_path, kind)
         (note,) = (note for note in found.notes if "values in" in note)
         assert "unknown in between. Where an input is logged only when it changes" in note
         assert not any("free runs" in note for note in found.notes)
+
+
+def test_an_input_in_rows_of_its_own_is_no_output_with_a_rate(tmp_path):
+    """Of an input that the caller names nothing is said of scores; the draft guesses its hold."""
+    valve, answer = np.repeat(np.resize([1.0, 4.0, 2.0], N // 20 + 1), 20)[:N], np.sin(0.003 * T)
+    own = np.arange(N) % 5 < 3
+    signals = {"a": np.where(own, valve, np.nan), "b": np.where(own, np.nan, answer)}
+    path = written(tmp_path / "run.csv", t=T, **signals)
+    found = inspect(path, inputs=["a"], outputs=["b"])
+    assert not any("`a`" in line and "free runs" in line for line in found.advice)
+    assert any("`a` has" in line and "declare its `hold`" in line for line in found.advice)
+    actions.init([path], tmp_path / "run.toml", False, inputs=["a"], outputs=["b"])
+    assert '\nhold = { "a" = "zero" }\n' in (tmp_path / "run.toml").read_text()
 
 
 def test_rows_of_an_hour_that_came_twice_are_not_to_be_sorted(tmp_path):

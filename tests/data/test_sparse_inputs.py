@@ -104,3 +104,20 @@ def test_what_scores_no_sample_advises_to_declare_the_hold_of_a_seldom_input():
     with pytest.raises(ValueError, match=f"must have known inputs.*{advice}"):
         eoi.refine(plant, logged(1, "full"), validation=record)
     assert re.search(advice, eoi.refine(plant, record).status.message)
+
+
+def test_an_input_follows_its_hold_in_the_rows_of_other_channels():
+    """Five rows of the input for two of the output, and a hole of a second."""
+    own = np.arange(N) % 7 < 5
+    valve = np.where(own, LEVELS, np.nan)
+    valve[200:220] = np.nan
+    record = record_of(valve, "zero")
+    np.testing.assert_array_equal(np.flatnonzero(~record.input_valid), np.arange(200, 220))
+    held = LEVELS.copy()
+    for k in range(1, N):
+        held[k] = held[k] if own[k] else held[k - 1]
+    known = record.input_valid
+    np.testing.assert_array_equal(record.inputs[known, 0], held[known])
+    assert f"`valve` has {np.isfinite(valve).sum()} values in 400 rows: kept" in record.notes[0]
+    undeclared = " ".join(record_of(valve, "auto").notes)
+    assert "unknown in between. Where an input is logged only when it changes, seldom" in undeclared
