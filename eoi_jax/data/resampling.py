@@ -117,7 +117,7 @@ def uniform_grid(stamps: TimeAxis) -> Grid:
     if on_line or rounded:
         count = int(index[-1]) + 1
         slope = _snap(slope, count)
-        start = float(stamps[0]) if deviation < 1e-6 else start
+        start = float(stamps[0]) if on_line else start
         time = start + slope * np.arange(count)
         return Grid(time, slope, index, deviation, _digit(stamps, slope) if rounded else 0.0)
     if _are_days(stamps, slope):

@@ -272,3 +272,12 @@ def test_the_low_pass_leaves_the_noise_that_is_announced():
 def test_short_segments_pass_the_filter():
     for count in (1, 2, 5):
         assert low_pass(np.ones((count, 1)), 0.01) == pytest.approx(1.0)
+
+
+def test_a_grid_on_the_stamps_begins_at_the_first():
+    """Whole microseconds, cut off: the line through them begins a little off zero."""
+    stamps = 1e-6 * (0.02 * np.arange(1500) * 1e6).astype(int)
+    assert np.any(np.diff(stamps) != np.diff(stamps)[0])
+    grid = uniform_grid(stamps)
+    assert grid.index is not None
+    assert grid.time[0] == 0.0
