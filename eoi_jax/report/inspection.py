@@ -8,6 +8,8 @@ from jaxtyping import Float
 from eoi_jax._checks import counted, percent, printable
 from eoi_jax.data.channel import Channel
 from eoi_jax.data.inspection import Inspection, InspectionSettings
+from eoi_jax.data.repeats import without_repeats
+from eoi_jax.data.resampling import fill
 from eoi_jax.report.decimate import decimate
 from eoi_jax.report.tables import columns
 
@@ -158,7 +160,11 @@ def _draw_spectrum(
 ) -> None:
     """Amplitude over frequency, with lines at the noise level and at the bandwidth."""
     part = values[: InspectionSettings.spectrum_samples]
-    part = np.where(np.isfinite(part), part, np.nanmean(part) if np.isfinite(part).any() else 0.0)
+    if channel.repeats:
+        part = without_repeats(part[:, None], [channel.name], [channel.name], [])[:, 0]
+    # A jump to each value between empty cells, or repeated ones, would be the comb of the gaps.
+    part = fill(np.arange(len(part), dtype=float), part[:, None], np.arange(len(part), dtype=float))
+    part = part[:, 0]
     window = np.hanning(len(part))
     amplitudes = np.abs(np.fft.rfft((part - part.mean()) * window))[1:] * 2 / max(window.sum(), 1.0)
     frequency = np.arange(1, len(amplitudes) + 1) / (len(part) * period)
