@@ -277,6 +277,7 @@ def inspect(
     progress: ProgressCallback | None,
     max_gigabytes: float | None = None,
     sheet: str | None = None,
+    time: str | None = None,
 ) -> Outcome:
     """Inspect a data file.
 
@@ -286,19 +287,20 @@ def inspect(
         progress: called with the progress of the work.
         max_gigabytes: what a compressed file may unpack to [1e9 bytes]; None: `MAX_GIGABYTES`.
         sheet: of an Excel file; None: the first that is not empty.
+        time: its column; None: guessed.
 
     Returns:
         The outcome.
 
     Raises:
-        ValueError: the file cannot be read.
+        ValueError: the file cannot be read, or has no such column.
     """
     folder = output / f"{_stem(path)}.inspect"
     run_folder.check_place(folder, "file")
     if progress is not None:
         progress("reading", 0, None, "")
     size = MAX_GIGABYTES if max_gigabytes is None else max_gigabytes
-    inspection = inspect_file(path, size, sheet=sheet)
+    inspection = inspect_file(path, size, time=time, sheet=sheet)
     if progress is not None:
         progress("drawing", 0, None, "")
     summary, text = inspection.summary(), str(inspection)

@@ -36,6 +36,7 @@ from eoi_jax.cli.options import (
     RunsAndFiles,
     Sheet,
     Source,
+    TimeColumn,
     Trust,
     complete_config,
 )
@@ -210,6 +211,7 @@ def sweep(
 def inspect(
     file: DataFile,
     output: Output = RUNS,
+    time: TimeColumn = None,
     max_gigabytes: MaxGigabytes = None,
     sheet: Sheet = None,
     as_json: AsJson = False,
@@ -219,7 +221,7 @@ def inspect(
     _answer(
         as_json,
         quiet,
-        lambda update: cli.actions.inspect(file, output, update, max_gigabytes, sheet),
+        lambda update: cli.actions.inspect(file, output, update, max_gigabytes, sheet, time),
     )
 
 
@@ -240,9 +242,7 @@ def init(
             autocompletion=complete_config,
         ),
     ] = None,
-    time: Annotated[
-        str | None, typer.Option(help="Column of time; default: guessed.", show_default=False)
-    ] = None,
+    time: TimeColumn = None,
     inputs: Annotated[
         str | None,
         typer.Option(help="Columns of inputs, separated by commas.", show_default=False),

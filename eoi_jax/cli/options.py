@@ -160,6 +160,9 @@ Sheet = Annotated[
         help="Sheet of an Excel file; default: the first that is not empty.", show_default=False
     ),
 ]
+TimeColumn = Annotated[
+    str | None, typer.Option(help="Column of time; default: guessed.", show_default=False)
+]
 
 # Options of `eoi export`, in the panels of its help.
 _CONTENT, _OF_ESTIMATOR = "Content: one of these", "With --estimator"

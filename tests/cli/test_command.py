@@ -380,6 +380,15 @@ def test_inspect_tells_what_is_in_a_file_and_draws_it(tmp_path: Path):
     assert (told["inputs"], told["outputs"]) == (["voltage [V]"], ["angle [rad]"])
 
 
+def test_inspect_takes_the_column_of_time(tmp_path: Path):
+    rows = "\n".join(f"{k},{0.5 * k},{np.sin(0.1 * k):.4f}" for k in range(60))
+    (tmp_path / "run.csv").write_text(f"t,instant,y\n{rows}\n")
+    call = ["inspect", str(tmp_path / "run.csv"), "--output", str(tmp_path / "runs"), "--json"]
+    done = CliRunner().invoke(app, [*call, "--time", "instant"])
+    assert done.exit_code == 0, done.output
+    assert json.loads(done.stdout)["clock"]["column"] == "instant"
+
+
 def test_init_writes_a_config_that_identifies_the_file_as_it_is(tmp_path: Path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     monkeypatch.delenv("EOI_DATA", raising=False)
