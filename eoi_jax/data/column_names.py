@@ -19,7 +19,8 @@ _OUTPUT = frozenset((
     "y", "out", "output", "outputs", "angle", "angulo", "winkel", "pos", "position", "theta",
     "phi", "alpha", "q", "qm", "x", "level", "height", "h", "speed", "vel", "velocity", "rate",
     "omega", "rpm", "temp", "temperature", "pressure", "meas", "measured", "enc", "encoder",
-    "sensor", "dist", "distance", "displacement", "response",
+    "sensor", "dist", "distance", "displacement", "response", "imu", "gyro", "accelerometer",
+    "acceleration",
 ))  # fmt: skip
 # What a controller is to reach or sends, wherever the word stands: `speed_cmd`, `Tsoll`.
 _REFERENCES = frozenset((
@@ -223,7 +224,8 @@ def separate_references(roles: dict[str, tuple[str, str]], held: set[str]) -> No
 # Ends of names that are units whatever stands before them.
 _ENDS = {
     "rad/s": ("rad_s", "rad_per_s", "radps"), "rad/s²": ("rad_s2",),
-    "deg/s": ("deg_s", "deg_per_s"), "m/s": ("m_s", "m_per_s"), "m/s²": ("m_s2",),
+    "deg/s": ("deg_s", "deg_per_s", "dps"), "m/s": ("m_s", "m_per_s", "mps"),
+    "m/s²": ("m_s2", "mps2"),
     "mm/s": ("mm_s",), "km/h": ("km_h", "kmh"), "l/min": ("l_min",), "m³/s": ("m3_s",),
     "m³/h": ("m3_h",), "kg/s": ("kg_s",), "N m": ("N_m", "Nm"), "°F": ("degF",),
     "°C": ("degC", "degc", "celsius", "Celsius"), "K": ("kelvin", "Kelvin"), "A": ("amps",),

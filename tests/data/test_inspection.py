@@ -274,6 +274,20 @@ def test_an_inspection_prints_plots_and_is_json(tmp_path):
     assert eoi.inspect is inspect
 
 
+@pytest.mark.parametrize("between", ["empty", "repeated"])
+def test_the_spectrum_of_a_slow_column_has_no_comb(tmp_path, between):
+    """Means or old values in the rows between would be lines at the multiples of 10 Hz."""
+    count = 4000
+    time, y = H * np.arange(count), 5.0 + np.sin(0.5 * H * np.arange(count))
+    y += 1e-2 * DRAW.standard_normal(count)
+    slow = np.where(np.arange(count) % 10 == 0, y, np.nan)
+    slow = slow if between == "empty" else np.repeat(y[::10], 10)
+    figure = inspect(written(tmp_path / "run.csv", t=time, speed=slow)).plot()
+    frequency, amplitude = figure.axes[1].lines[0].get_data()
+    lines = amplitude[(frequency > 9.0) & (frequency < 11.0)]
+    assert np.max(lines) < 1e-3 * np.max(amplitude)
+
+
 @pytest.mark.parametrize(
     "name", ["time", "time [ms]", "log.time_ms", "rig/run.time (s)", "t_s", "rig.log.t", "a/b/Time"]
 )
@@ -589,6 +603,7 @@ def test_a_note_on_resampling_is_given_once_whatever_cells_are_empty(tmp_path):
         ("T_K", "K"), ("omega_rad_s", "rad/s"), ("T_innen_K", "K"), ("motorCurrent_mA", "mA"),
         ("pwm_percent", "%"), ("speed_rpm", "rpm"), ("angle_deg", "deg"), ("accel_m_s2", "m/s²"),
         ("rate_rad_per_s", "rad/s"), ("level_m", "m"), ("supply_volts", "V"), ("druck_bar", "bar"),
+        ("imu_ax_mps2", "m/s²"), ("gps_speed_mps", "m/s"), ("gyro_x_dps", "deg/s"),
         ("Heizleistung_kW", "kW"), ("sog_knots", "kn"), ("wind_speed_kt", "kn"),
         # ambiguous, or no unit: a motor A, a measured x, radiation, a gain, a phase, a number
         ("motor_A", ""), ("x_m", ""), ("solar_rad", ""), ("gain_K", ""), ("phase_V", ""),
@@ -776,8 +791,10 @@ def test_a_second_clock_is_no_signal(tmp_path, name):
 
 
 @pytest.mark.parametrize(
-    ("name", "role"), [("vout_V", "output"), ("Vin", "input"), ("qout", "output"), ("uin", "input")]
-)
+    ("name", "role"),
+    [("vout_V", "output"), ("Vin", "input"), ("qout", "output"), ("uin", "input"),
+     ("imu_ax_mps2", "output"), ("gyro_z", "output")],
+)  # fmt: skip
 def test_what_goes_in_and_comes_out_is_told_by_the_name(name, role):
     assert role_of_name(name) == role
 
