@@ -96,9 +96,10 @@ def osl_quartz(folder: Path) -> Rig:
         quartz, {"tau": 0.6}, relative_degree=1, inputs=(), outputs=("signal",),
         bounds={"tau": (0.02, np.inf)}, units={"signal": "1", "tau": "s"},
     )  # fmt: skip
-    parts: tuple[Runs, Runs, Runs] = tuple(
+    fitted, held_out, untouched = (
         tuple((f"osl_{k}", (0, 50)) for k in part) for part in ((3, 5, 9, 10), (7, 12), (1, 13, 14))
     )
+    parts: tuple[Runs, Runs, Runs] = fitted, held_out, untouched
     return Rig(
         plant, runs(plant, folder / "osl_quartz", parts),
         {"signal": (21.45, 21.45)}, {"signal": (6.07, 6.07)},
