@@ -137,9 +137,12 @@ def may_be_rate(discovery: Discovery) -> bool:
     """Whether a delay or a lag of an input leaves more than noise in free runs of each length.
 
     A response to the rate of the input is the same to first order: the level of a drum that swells
-    before it falls. Of it the injection, which does not try it, leaves little.
+    before it falls. Of it the injection, which does not try it, leaves little. The score test of
+    free runs knows no outputs that are functions of the states.
     """
-    if discovery.in_sample or discovery.status.code != "complete":
+    if discovery.in_sample or discovery.declared.nominal.has_algebraic:
+        return False
+    if discovery.status.code != "complete":
         return False
     runs = [run for run in (discovery.after, discovery.windows_after) if run is not None]
     exceeds = (np.any((run.rmse > _RULES.silent * sensor_noise(run)) & (run.nrmse > _RULES.small))

@@ -24,6 +24,7 @@ from eoi_jax.estimation.defaults import output_noise
 from eoi_jax.estimation.identify import identify
 from eoi_jax.models.effects import ConstantOffset, QuadraticDrag
 from eoi_jax.models.effects.library import standard
+from eoi_jax.models.equations.text_model import plant_from_text
 from eoi_jax.models.placements import placements
 from eoi_jax.models.plant import Plant
 from eoi_jax.refinement.refine import refine
@@ -265,6 +266,35 @@ def test_what_free_runs_lack_is_not_asked_of_such_a_plant():
     )
     with pytest.raises(ValueError, match=message):
         remaining(refined)
+
+
+def speeds(seed: int) -> Record:
+    """A car's speed by its wheels, 5 % too high, and by a receiver that is six samples late."""
+    draw, step, pole = np.random.default_rng(seed), 0.05, np.exp(-0.1 * 0.05)
+    throttle = np.repeat(draw.uniform(0.0, 60.0, 50), 60)
+    speed = lfilter([0.0, 0.5 * (1.0 - pole)], [1.0, -pole], throttle)
+    late = np.r_[np.zeros(6), speed[:-6]]
+    noise = draw.standard_normal((len(speed), 2)) * [0.05, 0.1]
+    outputs = np.c_[1.05 * speed, late] + noise
+    time = step * np.arange(len(speed))
+    names = ("wheel", "gps")
+    return Record(time, throttle, outputs, f"drive {seed}", input_names=("u",), output_names=names)
+
+
+def test_a_late_sensor_beside_another_of_the_same_speed_is_answered():
+    """Free runs, in which a response to the rate would be tried in its place, are not searched."""
+    plant = plant_from_text(
+        {"gps": "k*u - c*gps"},
+        {"k": 0.04, "c": 0.08},
+        ["wheel", "gps"],
+        ["u"],
+        output={"wheel": "gps"},
+    )
+    tried = ["input_delay", "constant_offset", "input_rate"]
+    found = discover(plant, speeds(1), speeds(2), tried)
+    assert (found.status.code, set(found.effects)) == ("complete", {*tried[:2]})
+    assert found.after is not None
+    assert np.all(found.after.nrmse > 0.01)  # more than noise: the gain of the wheels
 
 
 @pytest.mark.parametrize(
