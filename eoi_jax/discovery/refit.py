@@ -13,6 +13,8 @@ from eoi_jax.discovery.side_by_side import concurrently
 from eoi_jax.discovery.task import Task
 from eoi_jax.estimation.holdout import longest_start
 from eoi_jax.estimation.identify import Identification, bound_notes, estimate
+from eoi_jax.models.augmented import added_effects
+from eoi_jax.models.effects import InputDelay
 from eoi_jax.models.plant import Plant
 from eoi_jax.simulation.integrator import frictional
 from eoi_jax.simulation.validate import (
@@ -24,6 +26,10 @@ from eoi_jax.simulation.validate import (
 
 _ON_BOUND = ": what it would take beyond stays unexplained"
 _SEARCHED = FitNote("parameters are those of the search: in free runs better than the refit's")
+_AT_SAMPLES = (
+    "{} at a multiple of the sample period: in free runs better than the estimate next to it, with "
+    "which the outputs would show each jump of the input a sample late"
+)
 
 
 def refitted(task: Task, model: Plant) -> tuple[Identification, tuple[str, ...]]:
@@ -32,14 +38,16 @@ def refitted(task: Task, model: Plant) -> tuple[Identification, tuple[str, ...]]
     The estimator's passes average over a step what the modes treat to fourth order, and smooth the
     inputs like the outputs if the noise requires it; an input effect does not commute with that
     smoothing. So the result that is better in short free runs on the records of the fit is kept.
+    An output that shows jumps of a held input at once, a hair behind a multiple of the sample
+    period, would show each of them a sample late: delays near one are also tried at it.
 
     Args:
         task: the constants of the discovery.
         model: the augmented plant, with the parameters of the search.
 
     Returns:
-        The fit, and a note where the parameters of the search are better: the fit is then one pass
-        that evaluates them.
+        The fit, and a note where the parameters of the search, or delays at multiples of the sample
+        period, are better: the fit is then one pass that evaluates them.
     """
     window = window_of(task, task.records)
     bounded = bool(np.all((model.lower <= model.theta) & (model.theta <= model.upper)))
@@ -52,10 +60,38 @@ def refitted(task: Task, model: Plant) -> tuple[Identification, tuple[str, ...]]
     with concurrently(task.threads, lambda: error(model)) as searched_error:
         refit = estimate(model, task.prepared)
         search_error, refit_error = searched_error(), error(refit.plant)
-    if not search_error < refit_error:
-        return refit, ()
-    searched = estimate(model, task.prepared, passes=1)
-    return replace(searched, status=refit.status), (_SEARCHED,)
+    answer, notes = refit, ()
+    if search_error < refit_error:
+        searched = estimate(model, task.prepared, passes=1)
+        answer, notes = replace(searched, status=refit.status), (_SEARCHED,)
+    delays = _delays_at_samples(answer, task.records)
+    shifted = answer.plant.with_parameters(answer.parameters | delays)
+    if not (delays and error(shifted) < min(search_error, refit_error)):
+        return answer, notes
+    evaluated = estimate(shifted, task.prepared, passes=1)
+    note = FitNote(_AT_SAMPLES.format(" and ".join(delays)))
+    return replace(evaluated, status=answer.status), (*notes, note)
+
+
+def _delays_at_samples(fit: Identification, records: Sequence[Record]) -> dict[str, float]:
+    """Delays of held inputs at the nearest multiples of the sample period, less the inputs' skew.
+
+    Those within their errors of a multiple, of a plant whose outputs show their inputs at once.
+    """
+    plant, period = fit.plant, records[0].sample_period
+    if not plant.has_algebraic or any(record.sample_period != period for record in records):
+        return {}
+    delays = {}
+    for placed in added_effects(plant):
+        if not isinstance(placed.effect, InputDelay) or records[0].holds[placed.channel] != "zero":
+            continue
+        (name,) = placed.names
+        skew = float(records[0].skew[placed.channel])
+        nearest = round((fit.parameters[name] + skew) / period) * period - skew
+        distance = abs(fit.parameters[name] - nearest)
+        if nearest > 0.0 and distance < RULES.judge.min_deviations * fit.standard_errors[name]:
+            delays[name] = nearest
+    return delays
 
 
 def on_bounds(declared: Plant, plant: Plant) -> list[str]:

@@ -272,7 +272,7 @@ def speeds(seed: int) -> Record:
     """A car's speed by its wheels, 5 % too high, and by a receiver that is six samples late."""
     draw, step, pole = np.random.default_rng(seed), 0.05, np.exp(-0.1 * 0.05)
     throttle = np.repeat(draw.uniform(0.0, 60.0, 50), 60)
-    speed = lfilter([0.0, 0.5 * (1.0 - pole)], [1.0, -pole], throttle)
+    speed = np.asarray(lfilter([0.0, 0.5 * (1.0 - pole)], [1.0, -pole], throttle))
     late = np.r_[np.zeros(6), speed[:-6]]
     noise = draw.standard_normal((len(speed), 2)) * [0.05, 0.1]
     outputs = np.c_[1.05 * speed, late] + noise

@@ -4,12 +4,15 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from output_cases import accelerometer
 
 import eoi_jax as eoi
 from eoi_jax.discovery.refit import free_runs, not_simulated, refitted, window_of
 from eoi_jax.discovery.task import Task
 from eoi_jax.estimation.identify import estimate
 from eoi_jax.estimation.preparation import prepare_records
+from eoi_jax.models.augmented import augmented, place
+from eoi_jax.models.effects import InputDelay
 
 TRUTH = {"stiffness": 20.0, "damping": 0.8, "gain": 2.0}
 
@@ -53,6 +56,25 @@ def test_the_estimate_is_kept_where_it_is_better(task):
     assert notes == ()
     for name, value in TRUTH.items():
         assert found.parameters[name] == pytest.approx(value, rel=0.2)
+
+
+def test_a_delay_of_what_shows_jumps_at_once_is_a_multiple_of_the_sample_period_where_that_fits():
+    """Four samples late; a hair behind them each jump of the base would come a sample late."""
+    plant, time = accelerometer(), np.arange(2000) * 1e-2
+    placed = place(plant, InputDelay(), 0)
+    late = augmented(plant, (placed,), {"input_delay": 0.04})
+    draw = np.random.default_rng(1)
+    base = np.repeat(draw.uniform(-0.1, 0.1, 80), 25)
+    clean = eoi.simulate(late, time, base, hold="zero").outputs
+    record = eoi.Record(time, base, clean + 0.2 * draw.standard_normal(clean.shape), "late",
+                        hold="zero", input_names=("base",), output_names=("acc",))  # fmt: skip
+    prepared = prepare_records(plant, (record,))
+    declared = estimate(plant, prepared)
+    task = Task(plant, prepared, (record,), (), (), declared, 0.01, 3, None)
+    found, notes = refitted(task, late.with_parameters({"input_delay": 0.0401}))
+    assert found.parameters["input_delay"] == 0.04
+    assert notes[-1].startswith("input_delay at a multiple of the sample period: in free runs")
+    assert 0.0 < found.standard_errors["input_delay"] < 1e-3
 
 
 def test_short_runs_are_a_tenth_of_a_record_where_that_is_long_enough(task):
