@@ -24,6 +24,7 @@ from jaxtyping import Bool, Float
 from eoi_jax.data.record import Record
 from eoi_jax.discovery.confirm import excesses
 from eoi_jax.discovery.judge import Judged
+from eoi_jax.discovery.rules import RULES
 from eoi_jax.models.plant import Plant
 from eoi_jax.refinement.first_runs import first_runs
 from eoi_jax.refinement.result import Refinement
@@ -46,6 +47,27 @@ def misses(model: Judged) -> list[str]:
     if not of_long or short_runs is None:
         return of_long
     return _excess(model, short_runs) or (of_long if returns(plant, long_runs.records) else [])
+
+
+def error_over_noise(model: Judged) -> str:
+    """By how much a model misses held-out records where `misses` says nothing, in words.
+
+    Of long runs and windows by the larger, those apart that miss by more than noise, as they drift;
+    of the output that misses by most.
+    """
+    runs = [run for run in model.runs if run is not None]
+    silent = [run for run in runs if not excesses(run, sensor_noise(run))]
+    run = max(silent or runs, key=_most_times)
+    if _most_times(run) <= RULES.questions.silent:
+        return "no more than noise"
+    return f"{_most_times(run):.2g} times the noise{'' if run.window is None else ' in windows'}"
+
+
+def _most_times(run: Validation) -> float:
+    """Error over the noise, of the output where that is largest; 0 of outputs without noise."""
+    noise = sensor_noise(run)
+    times = np.divide(run.rmse, noise, out=np.zeros_like(noise), where=noise > 0.0)
+    return float(np.max(times, initial=0.0, where=~np.isnan(times)))
 
 
 def _excess(model: Judged, run: Validation) -> list[str]:

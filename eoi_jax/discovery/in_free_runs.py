@@ -19,7 +19,7 @@ from eoi_jax.discovery.additions import (
 from eoi_jax.discovery.confirm import beyond_noise
 from eoi_jax.discovery.diagnose import diagnose
 from eoi_jax.discovery.doubts import bends_factor, may_be_rate, may_be_store, stands_in
-from eoi_jax.discovery.expected_error import misses
+from eoi_jax.discovery.expected_error import error_over_noise, misses
 from eoi_jax.discovery.free_run_candidates import Model
 from eoi_jax.discovery.free_run_evidence import (
     contradicted_by_fit,
@@ -328,7 +328,9 @@ def answered(
         names = labels_of(best.placed)
         excess = misses(best)
         code, text = ("partial", _PARTIAL) if excess else ("complete", _COMPLETE)
-        outcome = replace(discovery, status=Status(code, text.format(names, ratio)), lead=None)
+        size = () if excess else (error_over_noise(best),)
+        status = Status(code, text.format(names, ratio, *size))
+        outcome = replace(discovery, status=status, lead=None)
         outcome = _with_model(outcome, answer, best, lowpass)
         return replace(outcome, notes=(*outcome.notes, *notes))
     if discovery.added:
@@ -342,10 +344,9 @@ def answered(
     if answer.better_base or (lead is None and not excess and _is_noise(answer)):
         # What the injection said of the model as it was is said of no other one; where samples are
         # far apart it is an error of what lies between them.
-        verdict = (
-            ("unexplained", _NOT_EXPLAINED) if excess else ("nothing_missing", _NOTHING_MISSING)
-        )
-        outcome = replace(discovery, status=Status(*verdict), lead=lead)
+        nothing = Status("nothing_missing", _NOTHING_MISSING.format(error_over_noise(base)))
+        status = Status("unexplained", _NOT_EXPLAINED) if excess else nothing
+        outcome = replace(discovery, status=status, lead=lead)
         discovery = _with_model(outcome, answer, base, lowpass)
         if lead is not None and not excess:
             # Of what is within the noise a part that confirms nothing shows nothing to be missing.
@@ -516,9 +517,7 @@ _WITHIN_NOISE = (
     "with {} the errors on the held-out records would have {:.3g} of those of the refined declared "
     "model: that confirms no effect, and both are within the noise"
 )
-_NOTHING_MISSING = (
-    "refined, the declared model misses the held-out records by no more than noise in free runs"
-)
+_NOTHING_MISSING = "refined, the declared model misses the held-out records by {} in free runs"
 _PARTIAL = (
     "with {} free runs on the held-out records have {:.3g} of the error of the refined declared "
     "model (geometric mean of the errors of all outputs, in long runs and in windows); more than "
@@ -527,5 +526,5 @@ _PARTIAL = (
 _COMPLETE = (
     "with {} free runs on the held-out records have {:.3g} of the error of the refined declared "
     "model (geometric mean of the errors of all outputs, in long runs and in windows), and miss by "
-    "no more than noise"
+    "{}"
 )

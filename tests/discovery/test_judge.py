@@ -10,10 +10,11 @@ from scipy.integrate import solve_ivp
 
 import eoi_jax as eoi
 from eoi_jax import effects
+from eoi_jax.discovery import expected_error as errors_of_models
 from eoi_jax.discovery import in_free_runs
 from eoi_jax.discovery import judge as judge_module
 from eoi_jax.discovery.confirm import excesses
-from eoi_jax.discovery.expected_error import expected_error
+from eoi_jax.discovery.expected_error import error_over_noise, expected_error
 from eoi_jax.discovery.free_run_evidence import long_run_ratio, lost_on_held_out
 from eoi_jax.discovery.free_run_search import search_free_runs
 from eoi_jax.discovery.judge import (
@@ -555,6 +556,22 @@ def test_a_right_model_is_expected_to_miss_by_the_error_of_its_start_too():
     reached = np.sqrt(np.mean(np.square(ratios)))
     assert np.mean(levels) > 1.5
     assert reached == pytest.approx(np.mean(levels), rel=0.25)
+
+
+@pytest.mark.parametrize(
+    ("long_run", "windows", "said"),
+    [(1.1, 1.0, "no more than noise"), (1.8, 1.1, "1.8 times the noise"),
+     (1.1, 1.4, "1.4 times the noise in windows"), (5.0, 1.5, "1.5 times the noise in windows"),
+     (5.0, 1.1, "no more than noise"), (5.0, None, "5 times the noise")],
+)  # fmt: skip
+def test_an_answer_says_by_how_much_it_misses(monkeypatch, answer, long_run, windows, said):
+    """Long runs that miss by more than noise where windows do not have drifted."""
+    monkeypatch.setattr(errors_of_models, "sensor_noise", lambda run: np.array([0.01]))
+    long_runs, short_runs = (
+        times and replace(run, rmse=np.array([0.01 * times]))
+        for run, times in zip(answer.base.runs, (long_run, windows), strict=True)
+    )
+    assert error_over_noise(replace(answer.base, runs=(long_runs, short_runs))) == said
 
 
 def test_noise_that_is_read_off_few_samples_may_be_small_by_chance():
