@@ -61,7 +61,8 @@ def partial_where_more_is_left(discovery: Discovery) -> Discovery:
 
     So it is where it takes less of the residual than is asked for, or where the errors of free runs
     on held-out records fall by less than what confirms an effect. Elsewhere a note says how much
-    they still miss by.
+    they still miss by; of outputs that are functions of the states, for which no free runs are
+    searched that could answer, an answer is partial where long ones miss by as much, too.
     """
     status, runs = discovery.status, discovery.windows_after or discovery.after
     if status.code != "complete" or not discovery.added or discovery.in_sample or runs is None:
@@ -72,8 +73,9 @@ def partial_where_more_is_left(discovery: Discovery) -> Discovery:
     before = discovery.before if discovery.windows_after is None else discovery.windows_before
     unimproved = before is not None and error_ratio(runs, before) > RULES.answer.confirmed
     if discovery.explained >= RULES.answer.explained and not unimproved:
-        notes = map(FitNote, excesses)
-        return replace(discovery, notes=(*discovery.notes, *notes))
+        discovery = replace(discovery, notes=(*discovery.notes, *map(FitNote, excesses)))
+        if not (discovery.plant.has_algebraic and beyond_noise(discovery.after)):
+            return discovery
     left = f"{_MORE_LEFT}, hardly less than before" if unimproved else _MORE_LEFT
     return replace(discovery, status=Status("partial", f"{status.message}; {left}"))
 

@@ -282,7 +282,10 @@ def speeds(seed: int) -> Record:
 
 
 def test_a_late_sensor_beside_another_of_the_same_speed_is_answered():
-    """Free runs, in which a response to the rate would be tried in its place, are not searched."""
+    """Free runs, in which a response to the rate would be tried in its place, are not searched.
+
+    They miss by more than noise, for the offset stands in for the gain of the wheels.
+    """
     plant = plant_from_text(
         {"gps": "k*u - c*gps"},
         {"k": 0.04, "c": 0.08},
@@ -292,9 +295,9 @@ def test_a_late_sensor_beside_another_of_the_same_speed_is_answered():
     )
     tried = ["input_delay", "constant_offset", "input_rate"]
     found = discover(plant, speeds(1), speeds(2), tried)
-    assert (found.status.code, set(found.effects)) == ("complete", {*tried[:2]})
-    assert found.after is not None
-    assert np.all(found.after.nrmse > 0.01)  # more than noise: the gain of the wheels
+    assert (found.status.code, set(found.effects)) == ("partial", {*tried[:2]})
+    assert found.status.message.endswith("runs on the held-out records miss by more than noise")
+    assert any(note.startswith("free runs of wheel in windows miss by ") for note in found.notes)
 
 
 @pytest.mark.parametrize(
