@@ -225,6 +225,16 @@ class _Search:
             records: to fit and to search, as given.
             held_out: that judge, as given.
         """
+        discovery = self._explained(records, held_out)
+        discovery = with_poor_fit(partial_where_more_is_left(discovery))
+        noted = with_differences(discovery, records)
+        if noted.status is not discovery.status:
+            return noted
+        self.progress("comparing the records", 2 + _RULES.rounds, STAGES)
+        return with_differing_parameters(noted, records, self.effects, self.alpha)
+
+    def _explained(self, records: tuple[Record, ...], held_out: tuple[Record, ...]) -> Discovery:
+        """What explains these records, whose hold is chosen; what it leaves is not asked."""
         indices = hold_indices(self.plant, records, trial_fit, self.lowpass)
         if indices is None:
             search, searched = self, self.on(records, held_out)
@@ -232,13 +242,7 @@ class _Search:
             search = replace(self, lowpass=indices.lowpass)
             searched = with_best_hold(search.on, records, held_out, indices)
         discovery = search.in_free_runs(searched, records, held_out)
-        discovery = with_held_inputs(discovery, search.answered, records, held_out)
-        discovery = with_poor_fit(partial_where_more_is_left(discovery))
-        noted = with_differences(discovery, records)
-        if noted.status is not discovery.status:
-            return noted
-        self.progress("comparing the records", 2 + _RULES.rounds, STAGES)
-        return with_differing_parameters(noted, records, self.effects, self.alpha)
+        return with_held_inputs(discovery, search.answered, records, held_out)
 
     def answered(self, records: tuple[Record, ...], held_out: tuple[Record, ...]) -> Discovery:
         """What the injection and free runs say of these records, whose hold is as it is."""
@@ -283,7 +287,13 @@ class _Search:
             discovery = with_further_effects(named, records, held_out, *settings)
             if len(discovery.added) > len(named.added):
                 discovery = self._with_curves(discovery, records)
-        return changing if changing and discovery.status.code == "unexplained" else discovery
+        if changing is None or discovery.status.code != "unexplained":
+            return discovery
+        if not leaves_more(changing):
+            return changing
+        self.progress("searching in free runs", 2 + _RULES.rounds, STAGES)
+        settings = effects, self.lowpass, self.alpha
+        return with_further_effects(changing, records, held_out, *settings)
 
     def _changing_in_time(
         self, discovery: Discovery, records: tuple[Record, ...], held_out: tuple[Record, ...]
@@ -299,7 +309,7 @@ class _Search:
             return None
         laws = (law for law in parameter_dependences(self.plant, records) if not law.signals)
         search = replace(self, effects=tuple(laws), rare=(), named=True)
-        answer = search.discovered(records, held_out)
+        answer = search._explained(records, held_out)
         return answer if answer.added and answer.status.code in ("complete", "partial") else None
 
     def _with_curves(self, discovery: Discovery, records: tuple[Record, ...]) -> Discovery:

@@ -202,3 +202,33 @@ def test_a_force_factor_that_falls_to_both_sides_is_found():
     wanted = {"r": 5.6, "l": 6e-4, "b": 6.2, "c": 1.3, "k": 2300.0}
     for name, value in wanted.items():
         assert values[name] == pytest.approx(value, rel=0.01)
+
+
+def sagging(seed: int, samples: int = 3000, period: float = 0.02) -> eoi.Record:
+    """A roll rate whose gain falls by 30 % over the record, by a gyro that is off by 0.02 rad/s."""
+    draw = np.random.default_rng(seed)
+    drive = np.repeat(draw.uniform(-2.0, 2.0, samples // 30), 30)
+    rate, decay = np.zeros(samples), np.exp(-4.0 * period)
+    for k in range(samples - 1):
+        gain = 5.0 * (1.0 - 0.3 * (k + 0.5) / samples)
+        rate[k + 1] = decay * rate[k] + (1.0 - decay) / 4.0 * gain * drive[k]
+    measured = rate + 0.02 + 0.005 * draw.standard_normal(samples)
+    return eoi.Record(period * np.arange(samples), drive, measured, str(seed), hold="zero",
+                      input_names="drive", output_names="rate")  # fmt: skip
+
+
+@pytest.mark.slow
+def test_effects_are_sought_beside_a_parameter_that_changes_with_time():
+    plant = eoi.Plant(lambda t, x, u, p: p.gain * u[0] - p.damping * x.y[0],
+                      {"gain": 4.0, "damping": 3.0}, inputs="drive", outputs="rate")  # fmt: skip
+    found = eoi.discover(plant, sagging(1), sagging(2))
+    assert (found.status.code, names(found)) == (
+        "complete",
+        [
+            "parameter_dependence (gain of t, linear)",
+            "constant_offset",
+        ],
+    )
+    assert found.after is not None
+    assert found.after.rmse[0] < 0.0055
+    assert len(set(found.notes)) == len(found.notes)
