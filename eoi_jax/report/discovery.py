@@ -2,7 +2,6 @@
 
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 
@@ -24,7 +23,7 @@ from eoi_jax.models.effects.effect import labelled
 from eoi_jax.models.equations.display import equation_text
 from eoi_jax.models.input_strength import InputStrength, strengths_of
 from eoi_jax.report.diagnosis import saturation
-from eoi_jax.report.tables import columns, parameter_table, quantity, with_error
+from eoi_jax.report.tables import columns, error_text, parameter_table, quantity, with_error
 from eoi_jax.simulation.validate import Validation
 from eoi_jax.uncertainty.uncertainty import uncertainty
 
@@ -287,9 +286,9 @@ def change_rows(discovery: Discovery) -> list[tuple[str, ...]]:
                 name,
                 f"{nominal[name]:.6g}" if name in nominal else "-",
                 "-" if declared is None else f"{declared:.6g}",
-                "-" if declared is None else _error(declared_fit, name),
+                "-" if declared is None else error_text(declared_fit, name),
                 f"{value:.6g}",
-                _error(final_fit, name),
+                error_text(final_fit, name),
                 units.get(name, ""),
             )
         )
@@ -437,12 +436,6 @@ def _acts_on_input(added: Added) -> bool:
 def _joined(parts: Sequence[str]) -> str:
     """``a, b and c``."""
     return " and ".join(filter(None, [", ".join(parts[:-1]), *parts[-1:]]))
-
-
-def _error(result: Any, name: str) -> str:
-    if name in result.plant.fixed:
-        return "fixed"
-    return f"{result.standard_errors.get(name, np.nan):.2g}"
 
 
 def _row(name: str, declared: float, augmented: float, unit: str) -> tuple[str, ...]:

@@ -47,18 +47,29 @@ def parameter_rows(result: Identification) -> list[tuple[str, ...]]:
     rows = [("parameter", "nominal", "estimate", "± std. error", "change", "unit")]
     for name, value in result.parameters.items():
         fixed = name in result.plant.fixed
-        error = result.standard_errors.get(name, np.nan)
         rows.append(
             (
                 name,
                 f"{nominal[name]:.6g}",
                 f"{value:.6g}",
-                "fixed" if fixed else f"{error:.2g}",
+                error_text(result, name),
                 "" if fixed else _change(nominal[name], value),
                 units.get(name, ""),
             )
         )
     return rows
+
+
+def error_text(result: Identification | Refinement, name: str) -> str:
+    """The standard error of a parameter; that it is fixed or on a bound, where it has none."""
+    plant, error = result.plant, result.standard_errors.get(name, np.nan)
+    if name in plant.fixed:
+        return "fixed"
+    place = plant.names.index(name)
+    ends = float(plant.lower[place]), float(plant.upper[place])
+    if np.isnan(error) and plant.parameters[name] in ends:
+        return "on its bound"
+    return f"{error:.2g}"
 
 
 def uncertainty_text(result: Uncertainty, level: float = 0.95) -> str:
@@ -85,8 +96,7 @@ def refined_rows(result: Refinement) -> list[tuple[str, ...]]:
     """A row for each parameter before and after its refinement, the header first."""
     rows = [("parameter", "before", "refined", "± std. error", "unit")]
     for name, value in result.parameters.items():
-        fixed = name in result.plant.fixed
-        error = "fixed" if fixed else f"{result.standard_errors[name]:.2g}"
+        error = error_text(result, name)
         initial = f"{result.nominal.parameters[name]:.6g}"
         rows.append((name, initial, f"{value:.6g}", error, result.plant.units.get(name, "")))
     return rows
@@ -325,8 +335,7 @@ def refinement_table(result: Refinement) -> str:
         f"{'parameter':<{width}}  {'before':>11}  {'refined':>11}  {'± std. error':>12}  unit",
     ]
     for name, value in result.parameters.items():
-        fixed = name in result.plant.fixed
-        error = "fixed" if fixed else f"{result.standard_errors[name]:.2g}"
+        error = error_text(result, name)
         row = f"{name:<{width}}  {initial[name]:>11.6g}  {value:>11.6g}  {error:>12}"
         lines.append(f"{row}  {units.get(name, '')}".rstrip())
     length = "whole records" if result.window is None else f"windows of {result.window:g} s"

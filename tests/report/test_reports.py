@@ -9,6 +9,8 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from eoi_jax.data import excitation
 from eoi_jax.estimation.identify import Identification, identify
 from eoi_jax.models.library import mass_spring_damper, three_mass_spring_damper
+from eoi_jax.models.plant import Plant
+from eoi_jax.refinement.refine import refine
 from eoi_jax.report import figures, tables
 from eoi_jax.simulation.simulate import simulate
 
@@ -53,6 +55,16 @@ def test_a_fixed_parameter_says_so_and_one_from_zero_has_no_percentage(
              tables.parameter_table(partly_fixed).splitlines()}  # fmt: skip
     assert "fixed" in lines["rho"]
     assert "new" in lines["beta"]
+
+
+def test_a_parameter_on_its_bound_says_so_in_place_of_an_error():
+    plant = Plant(lambda t, x, u, p: u[0] - p.damping * x.y[0], {"damping": 0.3}, inputs="u")
+    time = 0.02 * np.arange(600)
+    record = simulate(plant, time, np.sign(np.sin(2.0 * time)), hold="zero")
+    bounded = plant.declared_anew({"damping": 0.7}, bounds={"damping": (0.5, np.inf)})
+    for text in (str(identify(bounded, record)), str(refine(bounded, record))):
+        (line,) = (line for line in text.splitlines() if line.startswith("damping"))
+        assert "0.5  on its bound" in line
 
 
 def test_passes_count_from_one_and_only_the_best_is_marked(result: Identification):
