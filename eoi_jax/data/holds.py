@@ -136,12 +136,12 @@ def made_alike(
     Args:
         records: of which those are changed that do not declare their hold.
         read: the records of the fit, as they were read.
-        used: the same ones, as the fit used them.
+        used: the same ones, as the fit used them, without those that it left out.
     """
     if not used:  # a fit without an answer
         return tuple(records)
-    undeclared = [fitted for original, fitted in zip(read, used, strict=True)
-                  if not original.hold_declared]  # fmt: skip
+    declared = {record.name for record in read if record.hold_declared}
+    undeclared = [record for record in used if record.name not in declared]
     example = (*undeclared, used[0])[0]
     return with_hold(records, example.logged_hold, example.skew)
 

@@ -50,7 +50,7 @@ from eoi_jax.discovery.in_injection import (
     without_search,
 )
 from eoi_jax.discovery.input_influence import influence_notes
-from eoi_jax.discovery.own_judge import needs_judge, with_own_judge, with_share
+from eoi_jax.discovery.own_judge import divided, needs_judge, with_own_judge
 from eoi_jax.discovery.refined import refined_answer, with_hint, without_bias
 from eoi_jax.discovery.remainder import (
     changes_in_time,
@@ -119,7 +119,8 @@ def discover(
         validation: records that the fit does not see, for the errors before and after; or the
             share of each record that is held out at its end. Without them the errors are those on
             `records`, and the answer says so; where these leave it open, the last three tenths of
-            each record are held out, and a note says that.
+            each record are held out, of several that are too short for that three tenths of the
+            records, and a note says that.
         effects: to try, as names or objects; by default all of `eoi_jax.effects.standard()` and
             actions of inputs that no equation has; where these leave the residual unexplained,
             beside them `eoi_jax.effects.rare()`, `couplings(plant)`, `input_actions(plant)` and, on
@@ -179,8 +180,9 @@ def discover(
         effects is not None, progress,
     )  # fmt: skip
     discovery = search.discovered(fit_records, held_out)
-    if needs_judge(discovery, fit_records) and (parts := with_share(plant, fit_records, window)):
-        discovery = with_own_judge(discovery, search.discovered(*parts), parts[0])
+    if needs_judge(discovery, fit_records):
+        parts = divided(plant, fit_records, window)
+        discovery = with_own_judge(discovery, parts, search.discovered)
     unplaced_notes = (
         [] if effects is None else notes_without_place(tried_effects, fitting, discovery)
     )

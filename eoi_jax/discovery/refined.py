@@ -37,6 +37,8 @@ from eoi_jax.discovery.remarks import FitNote, is_on_fit
 from eoi_jax.discovery.result import Discovery
 from eoi_jax.discovery.rules import RULES
 from eoi_jax.discovery.task import Task
+from eoi_jax.estimation.preparation import PreparedRecords
+from eoi_jax.estimation.runaway import is_as_good
 from eoi_jax.models.augmented import Placed, augmented
 from eoi_jax.models.effects import rare, standard
 from eoi_jax.models.effects.effect import AbstractEffect
@@ -128,14 +130,46 @@ def without_bias(task: Task, discovery: Discovery) -> Discovery:
     result = base.refinement
     if not (result.status.ok and search.predicts_all_better(base, plant)):
         return discovery
-    lengths = window_of(task, records), discovery.after.window
-    runs = whole_and_windows(result.plant, records, *lengths)
+    return with_refinement(discovery, result, task.prepared)
+
+
+def with_refinement(
+    discovery: Discovery, result: Refinement, prepared: PreparedRecords
+) -> Discovery:
+    """An answer with the declared model refined in place of the fit of the passes.
+
+    Args:
+        discovery: the answer, of which there are free runs.
+        result: the refinement.
+        prepared: records of the fit.
+    """
+    assert discovery.after is not None
+    short = discovery.windows_after
+    lengths = None if short is None else short.window, discovery.after.window
+    runs = whole_and_windows(result.plant, discovery.held_out, *lengths)
     notes = [note for note in discovery.notes if not is_on_fit(note)]
-    notes += [*on_bounds(task.plant, result.plant), FitNote(_UNBIASED)]
+    notes += [*on_bounds(discovery.declared.nominal, result.plant), FitNote(_UNBIASED)]
     return replace(
-        discovery, after=runs[0], windows_after=runs[1], found=as_fit(task.prepared, result),
+        discovery, after=runs[0], windows_after=runs[1], found=as_fit(prepared, result),
         plant=result.plant, notes=tuple(notes),
     )  # fmt: skip
+
+
+def refined_from_each(starts: Sequence[Plant], records: Sequence[Record]) -> Refinement:
+    """The best of the refinements from each start.
+
+    Of those that fit as well that from the last start: where parts of a plant may change places,
+    as two stores in a row, the nominal values say which is which.
+
+    Args:
+        starts: the model at the values to refine it from, nominal ones last.
+        records: to fit.
+    """
+    fits = [refine(start, records) for start in starts]
+    best = min(fits, key=lambda fit: (not fit.status.ok, fit.window is not None, fit.cost))
+    last = fits[-1]
+    is_alike = last.status.ok and last.window == best.window
+    return last if is_alike and is_as_good(last.cost, best.cost) else best
 
 
 def with_hint(task: Task, discovery: Discovery) -> Discovery:

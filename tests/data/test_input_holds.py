@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 import eoi_jax as eoi
+from eoi_jax.data.holds import made_alike
 from eoi_jax.data.input_holds import read_hold, suggested_hold
 from eoi_jax.simulation.simulate import drive
 
@@ -206,3 +207,18 @@ def test_a_record_without_inputs_has_no_hold_in_its_text():
     record = eoi.Record(np.arange(9.0), np.zeros((9, 0)), np.arange(9.0), input_names=())
     assert "hold" not in str(record)
     assert "100 % valid" in str(record)
+
+
+def test_records_are_made_alike_where_the_fit_has_left_some_out():
+    rng = np.random.default_rng(0)
+    read = [
+        eoi.Record(np.arange(40) * 0.1, rng.standard_normal(40), rng.standard_normal(40), name,
+                   hold=hold)
+        for name, hold in (("short", "auto"), ("declared", "linear"), ("long", "auto"))
+    ]  # fmt: skip
+    used = read[1], read[2].with_hold("smooth")
+    assert [record.hold for record in made_alike(read, read, used)] == [
+        "smooth",
+        "linear",
+        "smooth",
+    ]

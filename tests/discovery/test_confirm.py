@@ -112,7 +112,7 @@ def test_an_answer_of_nothing_is_doubted_where_free_runs_say_otherwise(
     records, silenced, monkeypatch, refine
 ):
     module = importlib.import_module("eoi_jax.discovery.discover")
-    monkeypatch.setattr(module, "with_share", lambda *_: None)  # as of a record too short to judge
+    monkeypatch.setattr(module, "divided", lambda *_: None)  # as of a record too short to judge
     found = discover(plant(220.0), records[0], effects="cubic_stiffness", refine=refine)
     (doubt,) = [note for note in found.notes if "times the noise of its sensor" in note]
     assert ("`refine=True`" in doubt) is not refine

@@ -718,7 +718,7 @@ def test_what_a_bound_takes_away_is_not_explained(monkeypatch):
     # Free runs refine the answer where records are held out; the share is that of the injection.
     assert any("was refined by the error of its free runs" in note for note in got.notes)
     module = importlib.import_module("eoi_jax.discovery.discover")
-    monkeypatch.setattr(module, "with_share", lambda *_: None)  # as of a record too short to judge
+    monkeypatch.setattr(module, "divided", lambda *_: None)  # as of a record too short to judge
     alone = eoi.discover(plant, fit, effects="coulomb_friction")
     assert alone.plant.parameters["k"] == 19.8
     before, after = (one.index[one.best_pass, 0] for one in (alone.declared, alone.found))

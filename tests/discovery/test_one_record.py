@@ -6,7 +6,7 @@ import pytest
 
 import eoi_jax as eoi
 from eoi_jax.discovery.drift import drift_of_parameters
-from eoi_jax.discovery.own_judge import with_share
+from eoi_jax.discovery.own_judge import divided
 
 RATE, NOISE = 60.0, 4e-4
 
@@ -66,9 +66,9 @@ def test_a_model_that_lacks_nothing_is_not_accused_for_a_record_that_goes_on_at_
 
 def test_what_is_held_out_is_the_end_of_the_motion_and_the_rest():
     record = swing(4, 0.6)  # at rest after 1.35 s, a fifth, of 6.65 s
-    parts = with_share(PLANT, [record])
+    parts = divided(PLANT, [record])
     assert parts is not None
-    ((fitted,), (judging,)) = parts
+    (fitted,), (judging,) = parts.fitted, parts.judging
     assert fitted.time[-1] == pytest.approx(0.7 * 0.2 * 6.65, abs=0.1)
     assert len(fitted) + len(judging) == len(record)
 
@@ -88,7 +88,52 @@ def test_an_end_in_which_nothing_is_seen_does_not_show_that_nothing_is_missing()
 
 
 def test_records_too_short_to_judge_stay_as_they_are():
-    assert with_share(PLANT, [swing(5, 0.1, samples=16)]) is None
+    assert divided(PLANT, [swing(5, 0.1, samples=16)]) is None
+
+
+HOURS = np.r_[0, 0.25, 0.5, 0.75, 1, 1.5, 2, 3, 4, 6, 8, 12, 16, 24]
+DOSED = eoi.plant_from_text(
+    {"gut": "-absorption*gut + dose/0.25", "level": "absorption*gut/volume - loss*level"},
+    {"absorption": 1.0, "loss": 0.1, "volume": 20.0}, outputs=["level"], inputs=["dose"],
+    initial={"gut": 0.0, "level": 0.0},
+)  # fmt: skip
+
+
+def dosed(seed: int, dose: float, noise: float = 0.1) -> eoi.Record:
+    """A dose that runs in for a quarter of an hour is absorbed and lost: fourteen samples."""
+    truth = DOSED.with_parameters({"absorption": 1.4, "loss": 0.2, "volume": 30.0})
+    time = np.arange(97) * 0.25
+    drive = np.where(time == 0.0, dose, 0.0)
+    level = eoi.simulate(truth, time, drive, hold="zero", substeps=4).outputs[:, 0]
+    places = np.round(HOURS / 0.25).astype(int)
+    values = level[places] + noise * np.random.default_rng(seed).standard_normal(len(HOURS))
+    return eoi.Record(
+        HOURS, drive[places], values, f"run {seed}", input_names=["dose"], output_names=["level"],
+        hold="zero",
+    )  # fmt: skip
+
+
+@pytest.mark.filterwarnings("ignore::eoi_jax.RecordWarning")  # stamps are far and unevenly apart
+def test_of_records_whose_ends_are_too_short_to_judge_one_is_held_out():
+    records = [dosed(16 + i, dose) for i, dose in enumerate((320.0, 160.0, 320.0, 240.0))]
+    parts = divided(DOSED, records)
+    assert parts is not None
+    assert [record.name for record in parts.judging] == ["run 19"]
+    found = eoi.discover(DOSED, records)
+    assert found.status.code == "nothing_missing"
+    assert any("run 19 was held out as a whole" in note for note in found.notes)
+    for name, value in {"absorption": 1.4, "loss": 0.2, "volume": 30.0}.items():
+        assert abs(found.plant.parameters[name] - value) < 4.0 * found.found.standard_errors[name]
+
+
+@pytest.mark.filterwarnings("ignore::eoi_jax.RecordWarning")
+def test_a_record_of_which_nothing_can_be_held_out_is_judged_with_the_model_refined():
+    record = dosed(3, 320.0)
+    assert divided(DOSED, [record]) is None
+    found = eoi.discover(DOSED, record, effects="actuator_lag")
+    assert (found.status.code, found.in_sample) == ("nothing_missing", True)
+    assert any("too short, or too few, to hold any of them out" in note for note in found.notes)
+    assert found.plant.parameters["volume"] == pytest.approx(30.0, rel=0.05)
 
 
 def test_what_free_runs_alone_hint_at_is_told():
