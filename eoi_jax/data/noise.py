@@ -26,6 +26,7 @@ def white_noise(
     values: Channels,
     segments: Sequence[tuple[int, int]],
     passed: Float[np.ndarray, "time 1"] | None = None,
+    least: float = 0.0,
 ) -> Float[np.ndarray, " channel"]:
     """Standard deviation of the white noise of each channel; zero where no segment has three.
 
@@ -34,11 +35,13 @@ def white_noise(
         segments: runs (start, stop) of valid samples.
         passed: white noise of standard deviation 1, interpolated like the samples; None where the
             samples are as measured.
+        least: degrees of freedom of the differences of an order from which on it counts; the lowest
+            order always does. Of few differences the smallest mean square is small by chance.
     """
     estimates = []
     for order in _ORDERS:
         power = _power(values, segments, order)
-        if power is None:
+        if power is None or (estimates and _degrees(segments, order) < least):
             continue
         unit_power = comb(2 * order, order) if passed is None else _power(passed, segments, order)
         estimates.append(np.sqrt(power / unit_power))
@@ -52,6 +55,16 @@ def _power(
     pieces = [np.diff(values[first:last], n=order, axis=0) for first, last in segments]
     differences = np.concatenate(pieces)
     return np.mean(differences**2, axis=0) if len(differences) else None
+
+
+def _degrees(segments: Sequence[tuple[int, int]], order: int) -> float:
+    r"""Degrees of freedom of the mean square of n differences of white noise.
+
+    n over $1 + 2\sum_k \rho_k^2 = \binom{4d}{2d}/\binom{2d}{d}^2$, with their autocorrelation
+    $\rho_k = (-1)^k \binom{2d}{d+k}/\binom{2d}{d}$.
+    """
+    count = sum(max(stop - start - order, 0) for start, stop in segments)
+    return count * comb(2 * order, order) ** 2 / comb(4 * order, 2 * order)
 
 
 def quanta(

@@ -26,6 +26,9 @@ class SensorNoiseSettings:
 
     # Differences of errors over those of the samples, from which on both are noise.
     agreement: float = 0.9
+    # Degrees of freedom of differences of errors, of an order above the lowest: with so many their
+    # root mean square is below half of the noise in one of a hundred cases (χ²).
+    degrees: float = 10.0
 
 
 _SETTINGS = SensorNoiseSettings()
@@ -80,7 +83,8 @@ def _of_record(
     for j, level in enumerate(noise):
         (places,) = np.nonzero(record.output_valid[:, j] & scored)
         pair = np.stack([record.outputs[:, j], record.outputs[:, j] - predicted[:, j]], axis=1)
-        motion, error = white_noise(pair[places], own_segments(places.astype(float)))
+        segments = own_segments(places.astype(float))
+        motion, error = white_noise(pair[places], segments, least=_SETTINGS.degrees)
         if error < _SETTINGS.agreement * motion:
             # Interpolation and smoothing take noise from the differences, of errors alike.
             unprepared = own_noise(record.outputs[:, [j]], record.output_valid[:, j])[0]
