@@ -8,6 +8,7 @@ import numpy as np
 from eoi_jax._checks import check, check_choice, check_kind
 from eoi_jax.data.record import Record
 from eoi_jax.discovery.result import Discovery
+from eoi_jax.models.augmented import Placed
 from eoi_jax.models.effects import (
     Coupling,
     InputAction,
@@ -20,7 +21,7 @@ from eoi_jax.models.effects import (
     standard,
     wider,
 )
-from eoi_jax.models.effects.effect import AbstractCascade, AbstractEffect
+from eoi_jax.models.effects.effect import AbstractCascade, AbstractEffect, Seen
 from eoi_jax.models.placements import placements
 from eoi_jax.models.plant import Plant
 from eoi_jax.models.used_inputs import used_inputs
@@ -99,8 +100,11 @@ def notes_without_place(
     looked = {evidence.effect for evidence in discovery.ranking} or fitting
     in_free_runs = {effect.name for effect in effects if effect.only_in_free_runs} & fitting
     notes = []
+    unmet = _unmet_needs(discovery, [effect for effect in effects if effect.name in in_free_runs])
     for name in dict.fromkeys(effect.name for effect in effects):
-        if name in in_free_runs and name not in discovery.effects:
+        if name in unmet and name not in discovery.effects:
+            notes.append(_NOT_OF_KIND.format(name, unmet[name]))
+        elif name in in_free_runs and name not in discovery.effects:
             notes.append(_IN_FREE_RUNS.format(name))
         elif name not in looked and name not in in_free_runs:
             reason = _NOTHING_SHOWS if name in fitting else _NO_PLACE
@@ -121,6 +125,33 @@ def with_requested(discovery: Discovery, effects: Sequence[AbstractEffect]) -> D
     return replace(discovery, status=replace(status, message=text))
 
 
+def _unmet_needs(discovery: Discovery, effects: Sequence[AbstractEffect]) -> dict[str, str]:
+    """What effects on measured outputs need that no record of the fit shows, by their names."""
+    plant = discovery.declared.nominal
+    needs, met = (
+        {effect.name: effect.record_needs for effect in effects if effect.record_needs},
+        set[str](),
+    )
+    for placed in placements(plant, effects):
+        if placed.on_input or placed.on_state or _has_sense(plant, placed, discovery.records):
+            met.add(placed.effect.name)
+    return {name: need for name, need in needs.items() if name not in met}
+
+
+def _has_sense(plant: Plant, placed: Placed, records: Sequence[Record]) -> bool:
+    """Whether an effect is meaningful for what is measured of the output that it acts on."""
+    j = placed.output
+    y = np.concatenate([record.outputs[record.output_valid[:, j], j] for record in records])
+    noise = max(float(record.noise[j]) for record in records)
+    duration = max(float(record.time[-1] - record.time[0]) for record in records)
+    period, peaks = records[0].sample_period, np.zeros(0)
+    kind = plant.kinds[plant.outputs[j]]
+    measured = placed.row == 0
+    return placed.effect.shows(
+        Seen(y, y, y, measured, noise, duration, period, 1.0 / duration, peaks, kind=kind)
+    )
+
+
 def _needs(effects: Sequence[AbstractEffect]) -> str:
     """On what some of these effects must act, in sentences."""
     needs = {
@@ -135,5 +166,6 @@ _REQUESTED = "Only what `effects` names was tried ({}): leave it out to try all"
 _IN_FREE_RUNS = (
     "{} is tried in free runs on held-out records alone, where the injection gives no answer"
 )
+_NOT_OF_KIND = "{} was not tried: it needs {}, and the records of the fit show none"
 _NO_PLACE = "{} was not tried: no output, input or internal state of {} is of its kind"
 _NOTHING_SHOWS = "{} was not tried: nothing in the records of {} is of its kind"

@@ -156,11 +156,13 @@ class LinearisedRuns:
         duration = max(float(record.time[-1] - record.time[0]) for record in self.records)
         j = placed.output
         measured = [record.outputs[record.output_valid[:, j], j] for record in self.records]
+        noise = max(float(record.noise[j]) for record in self.records)
+        rmse = 1.0 / max(float(np.asarray(self.problem.scale)[j]), np.finfo(float).tiny)
         return Seen(
             level, rate, np.ravel(channel), placed.row == 0, 0.0, duration, period,
             band or 1.0 / duration, self._peaks(period),
             kind=self.plant.kinds[self.plant.outputs[j]],
-            measured_y=np.concatenate(measured),
+            measured_y=np.concatenate(measured), measured_noise=min(noise, rmse),
         )  # fmt: skip
 
     def _peaks(self, period: float) -> Float[np.ndarray, " peaks"]:

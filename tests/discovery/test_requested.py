@@ -42,3 +42,17 @@ def test_what_stays_open_says_that_the_caller_named_what_was_tried(code):
     message = with_requested(replace(discovery(), status=status), asked).status.message
     told = ". Only what `effects` names was tried (leak, constant_offset): leave it out to try all"
     assert message == status.message + (told if code != "complete" else "")
+
+
+def test_an_effect_that_the_records_do_not_show_is_told_as_not_tried():
+    time, rng = 0.1 * np.arange(400), np.random.default_rng(0)
+    lag = eoi.Plant(lambda t, x, u, p: p.b * u - x.y[0], {"b": 1.0}, 1, outputs=("x",))
+    drive = np.repeat(rng.standard_normal(40), 10)
+    run = eoi.simulate(lag, time, drive, hold="zero")
+    record = run.with_outputs(run.outputs + 1e-3 * rng.standard_normal((400, 1)), "measured")
+    found = eoi.discover(lag, record, effects=["saturating_loss", "constant_offset"])
+    (note,) = [note for note in found.notes if note.startswith("saturating_loss")]
+    assert note == (
+        "saturating_loss was not tried: it needs an output of one sign, apart from noise, and the "
+        "records of the fit show none"
+    )

@@ -98,6 +98,7 @@ class Seen:
         kind: what the output is (`models/kinds.py`); "" where that is not known.
         wavenumbers: at which the residual repeats along the position, many periods [1/unit of y].
         measured_y: samples of the output that `y` simulates; none where `y` itself is measured.
+        measured_noise: standard deviation of the noise in these, at most.
     """
 
     y: Float[np.ndarray, " samples"]
@@ -113,6 +114,7 @@ class Seen:
     kind: str = ""
     wavenumbers: Float[np.ndarray, " wavenumbers"] = field(default_factory=lambda: np.zeros(0))
     measured_y: Float[np.ndarray, " outputs"] = field(default_factory=lambda: np.zeros(0))
+    measured_noise: float = 0.0
 
     near_rest: ClassVar[float] = 0.02  # of the largest speed: of a speed at rest
     least_rest: ClassVar[float] = 0.05  # share of the samples at rest of a speed that stops
@@ -144,7 +146,9 @@ class Seen:
 
         A model that lacks how a loss falls with the output empties what is never empty.
         """
-        return not turns(self.y) or (len(self.measured_y) > 0 and not turns(self.measured_y))
+        if not _changes_sign(self.y, self.noise):
+            return True
+        return len(self.measured_y) > 0 and not _changes_sign(self.measured_y, self.measured_noise)
 
 
 class AbstractEffect(ABC):
@@ -161,6 +165,7 @@ class AbstractEffect(ABC):
         rarity: twice the log-odds by which a more common effect of the same fit is preferred.
         follows_slope: whether its internal states follow `At.slope`.
         only_in_free_runs: whether `discover` tries it in free runs alone, and not in the injection.
+        record_needs: what `shows` asks of the records, for messages; "" where it asks nothing.
     """
 
     name: ClassVar[str]
@@ -173,6 +178,7 @@ class AbstractEffect(ABC):
     rarity: ClassVar[float] = 0.0
     follows_slope: ClassVar[bool] = False
     only_in_free_runs: ClassVar[bool] = False
+    record_needs: ClassVar[str] = ""
 
     def __eq__(self, other: object) -> bool:
         # Equality by value, so that models with equal effects are compiled once.
@@ -551,6 +557,23 @@ def turns(values: Float[np.ndarray, " samples"], share: float = 0.01) -> bool:
         share: of the samples that must have each sign; fewer are noise around zero.
     """
     return bool(min(np.mean(values > 0), np.mean(values < 0)) > share)
+
+
+def _changes_sign(
+    values: Float[np.ndarray, " samples"], noise: float, times: float = 3.0, share: float = 0.1
+) -> bool:
+    """Whether a signal takes both signs beyond noise around zero.
+
+    Args:
+        values: of the signal.
+        noise: its standard deviation, at most.
+        times: so many of it, of which normal noise exceeds a sample of a thousand.
+        share: of the largest size, that is taken for noise: where samples are far apart the noise
+            that is read off them is motion.
+    """
+    size = float(np.max(np.abs(values), initial=0.0))
+    edge = min(times * noise, share * size)
+    return turns(np.where(np.abs(values) <= edge, 0.0, values))
 
 
 def quantiles(values: Float[np.ndarray, " samples"], shares: Any) -> Grid:

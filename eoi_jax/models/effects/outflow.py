@@ -120,6 +120,7 @@ class PowerLoss(AbstractTerm):
     shapes = (Parameter("exponent", "1", lower=0.1),)
     depends_on = "y"
     only_in_free_runs = True
+    record_needs = "an output of one sign, apart from noise"
 
     def fits(self, plant: Plant, output: int) -> bool:
         kind = plant.kinds[plant.outputs[output]]
@@ -157,6 +158,7 @@ class SaturatingLoss(AbstractTerm):
     shapes = (Parameter("half", "{y}", lower=0.0),)
     depends_on = "y"
     only_in_free_runs = True
+    record_needs = "an output of one sign, apart from noise"
 
     def fits(self, plant: Plant, output: int) -> bool:
         """Of an amount of something: where the kind is known, a concentration or a flow."""

@@ -620,6 +620,17 @@ def test_what_a_speed_loses_in_proportion_is_friction_and_no_leak():
     assert leak.shows(replace(seen, kind="temperature"))
 
 
+def test_noise_around_zero_is_no_other_sign():
+    level = np.r_[np.linspace(5.0, 0.0, 20), np.tile([0.1, -0.1], 8)]
+    seen = Seen(level, level, level, True, 0.0, 40.0, 5e-3, 10.0, np.array([1.0]))
+    for law in (effects.SaturatingLoss(), effects.PowerLoss(), effects.Leak(), effects.Overflow()):
+        assert not law.shows(seen)
+        assert law.shows(replace(seen, noise=0.08))
+        assert law.shows(replace(seen, measured_y=level, measured_noise=0.08))
+        turning = replace(seen, y=np.sin(np.arange(36.0)), noise=1.0)  # motion, and no noise
+        assert not law.shows(turning)
+
+
 def test_losses_go_by_the_sign_that_is_measured_where_the_simulation_of_a_wrong_model_turns():
     simulated, measured = np.linspace(-3.0, 9.0, 50), np.linspace(0.5, 9.0, 50)
     seen = Seen(simulated, simulated, simulated, True, 1e-4, 40.0, 5e-3, 10.0, np.array([1.0]))
