@@ -26,7 +26,7 @@ def white_noise(
     values: Channels,
     segments: Sequence[tuple[int, int]],
     passed: Float[np.ndarray, "time 1"] | None = None,
-    least: float = 0.0,
+    degrees: float = 0.0,
 ) -> Float[np.ndarray, " channel"]:
     """Standard deviation of the white noise of each channel; zero where no segment has three.
 
@@ -35,13 +35,13 @@ def white_noise(
         segments: runs (start, stop) of valid samples.
         passed: white noise of standard deviation 1, interpolated like the samples; None where the
             samples are as measured.
-        least: degrees of freedom of the differences of an order from which on it counts; the lowest
+        degrees: of freedom, of the differences of an order, from which on it counts; the lowest
             order always does. Of few differences the smallest mean square is small by chance.
     """
     estimates = []
     for order in _ORDERS:
         power = _power(values, segments, order)
-        if power is None or (estimates and _degrees(segments, order) < least):
+        if power is None or (estimates and _degrees(segments, order) < degrees):
             continue
         unit_power = comb(2 * order, order) if passed is None else _power(passed, segments, order)
         estimates.append(np.sqrt(power / unit_power))

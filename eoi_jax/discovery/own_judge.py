@@ -19,7 +19,7 @@ from eoi_jax.discovery.confirm import beyond_noise
 from eoi_jax.discovery.doubts import is_doubtful, telling_runs
 from eoi_jax.discovery.free_run_trials import refined
 from eoi_jax.discovery.judge import Judge, mean_error
-from eoi_jax.discovery.refined import refined_from_each, with_refinement
+from eoi_jax.discovery.refined import best_refinement, refined_passes
 from eoi_jax.discovery.result import Discovery
 from eoi_jax.discovery.rules import RULES
 from eoi_jax.estimation.holdout import check_runs, longest_start, resting_outputs
@@ -117,7 +117,7 @@ def divided(
     if not _can_judge(plant, fitted, judging, window):
         return None
     names = " and ".join(record.name for record in judging)
-    return Division(fitted, judging, _WHOLE.format(names), _IN_OTHERS)
+    return Division(fitted, judging, _WHOLE.format(names), _LOCAL)
 
 
 def _can_judge(
@@ -184,14 +184,15 @@ def _judged_in_sample(discovery: Discovery) -> Discovery:
     declared, records = discovery.declared, discovery.held_out
     if discovery.status.code != "unexplained" or discovery.before is None:
         return noted
-    result = refined_from_each([declared.plant, declared.nominal], records)
+    result = best_refinement([declared.plant, declared.nominal], records)
     if not result.status.ok:
         return noted
     prepared = prepare_records(declared.nominal, records, declared.lowpass)
-    answer = with_refinement(noted, result, prepared)
+    answer = refined_passes(noted, result, prepared)
     misses = beyond_noise(telling_runs(answer), _REFINED_MISSES, answer.after)
     if misses:
-        return replace(answer, status=Status("unexplained", misses[0]))
+        message = f"{discovery.status.message}; {misses[0]}"
+        return replace(answer, status=Status("unexplained", message))
     status = Status("nothing_missing", _NOTHING_MISSING)
     return replace(answer, status=status, diagnosis=None, lead=None)
 
@@ -213,11 +214,11 @@ _IN_FIT = (
     " on the records of the fit, though not on the end of their motion, which was held out: what "
     "is missing dies away before. Hold out other records (`validation`)"
 )
-_IN_OTHERS = (
+_LOCAL = (
     " on the records of the fit, though not on what was held out: what is missing is not in all "
     "records. Hold out other ones (`validation`)"
 )
-_REFINED_MISSES = ", with the declared model refined, and none of the tested effects explains it"
+_REFINED_MISSES = ", also with the declared model refined"
 _NOTHING_MISSING = (
     "refined, the declared model misses the records of the fit by no more than noise in free runs"
 )

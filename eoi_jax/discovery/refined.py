@@ -130,10 +130,10 @@ def without_bias(task: Task, discovery: Discovery) -> Discovery:
     result = base.refinement
     if not (result.status.ok and search.predicts_all_better(base, plant)):
         return discovery
-    return with_refinement(discovery, result, task.prepared)
+    return refined_passes(discovery, result, task.prepared)
 
 
-def with_refinement(
+def refined_passes(
     discovery: Discovery, result: Refinement, prepared: PreparedRecords
 ) -> Discovery:
     """An answer with the declared model refined in place of the fit of the passes.
@@ -155,7 +155,7 @@ def with_refinement(
     )  # fmt: skip
 
 
-def refined_from_each(starts: Sequence[Plant], records: Sequence[Record]) -> Refinement:
+def best_refinement(starts: Sequence[Plant], records: Sequence[Record]) -> Refinement:
     """The best of the refinements from each start.
 
     Of those that fit as well that from the last start: where parts of a plant may change places,

@@ -84,7 +84,7 @@ def _of_record(
         (places,) = np.nonzero(record.output_valid[:, j] & scored)
         pair = np.stack([record.outputs[:, j], record.outputs[:, j] - predicted[:, j]], axis=1)
         segments = own_segments(places.astype(float))
-        motion, error = white_noise(pair[places], segments, least=_SETTINGS.degrees)
+        motion, error = white_noise(pair[places], segments, degrees=_SETTINGS.degrees)
         if error < _SETTINGS.agreement * motion:
             # Interpolation and smoothing take noise from the differences, of errors alike.
             unprepared = own_noise(record.outputs[:, [j]], record.output_valid[:, j])[0]

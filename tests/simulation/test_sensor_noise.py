@@ -93,3 +93,13 @@ def test_what_a_simulation_errs_by_is_no_motion():
     assert is_exact(runs)
     assert is_exact(judged_runs(plant.with_parameters({"b": 1.0 + 1e-8}), record))
     assert not is_exact(judged_runs(plant.with_parameters({"b": 1.0 + 1e-6}), record))
+
+
+def test_of_few_errors_no_order_of_differences_is_small_by_chance():
+    """Of a dozen errors some order would show less than a third of the noise every few records."""
+    plant, _ = first_order(0, 0.3)
+    rates, push = np.array([[-1.0]]), np.array([1.0])
+    records = [simulated(rates, push, 0.3, seed, count=16) for seed in range(40)]
+    noises = [sensor_noise(judged_runs(plant, record, 4))[0] for record in records]
+    assert min(noises) > NOISE / 3.0
+    assert np.median(noises) == pytest.approx(NOISE, rel=0.25)
