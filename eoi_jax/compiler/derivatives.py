@@ -2,7 +2,7 @@ r"""Forward-mode derivatives of scalar programs (A. Griewank, A. Walther, *Evalu
 
 `jax.jvp` traces a function with its derivative, several times as many operations as the function
 alone has. Of a scalar program each node is visited once, by the rules below, and where a tangent is
-zero nothing is made.
+zero nothing is made. Roots have the derivative zero where it has no bound, as in `roots.py`.
 
     y, slopes = jvp(function, (x, theta), (x_tangent, theta_tangent))
 
@@ -157,12 +157,16 @@ def _pow(terms: _Terms, node: Node, da: Node, db: Node) -> Node:
     a, b = node.args
 
     def by_base() -> Node:
-        slope = terms.mul(b, terms.pow(a, terms.sub(b, 1.0)))
-        return terms.select(terms.eq(b, 0.0), 0.0, slope)
+        power = terms.mul(b, terms.pow(a, terms.sub(b, 1.0)))
+        slope = terms.select(terms.eq(b, 0.0), 0.0, power)
+        below_one = terms.select(terms.lt(b, 1.0), 0.0, slope)
+        at_zero = terms.select(terms.lt(0.0, b), below_one, slope)
+        return terms.select(terms.lt(0.0, a), slope, at_zero)
 
     def by_exponent() -> Node:
-        nothing = terms.eq(a, 0.0)
-        return terms.select(nothing, 0.0, terms.mul(terms.log(terms.select(nothing, 1.0, a)), node))
+        positive = terms.lt(0.0, a)
+        logarithm = terms.log(terms.select(positive, a, 1.0))
+        return terms.select(positive, terms.mul(logarithm, node), 0.0)
 
     return terms.add(terms.product(by_base, da), terms.product(by_exponent, db))
 
@@ -195,7 +199,7 @@ _RULES: dict[str, Callable[..., Node]] = {
     "max": _larger,
     "min": _larger,
     "select": _select,
-    "sqrt": _slope(lambda terms, _, y: terms.div(0.5, y)),
+    "sqrt": _slope(lambda terms, x, y: terms.select(terms.lt(0.0, x), terms.div(0.5, y), 0.0)),
     "sin": _slope(lambda terms, x, _: terms.cos(x)),
     "cos": _slope(lambda terms, x, _: terms.neg(terms.sin(x))),
     "tan": _slope(lambda terms, _, y: _one_plus(terms, y)),
@@ -218,6 +222,8 @@ _RULES: dict[str, Callable[..., Node]] = {
     "expm1": _slope(lambda terms, _, y: terms.add(1.0, y)),
     "log": _slope(lambda terms, x, _: terms.div(1.0, x)),
     "log1p": _slope(lambda terms, x, _: terms.div(1.0, terms.add(1.0, x))),
-    "cbrt": _slope(lambda terms, x, y: terms.div(y, terms.mul(3.0, x))),
+    "cbrt": _slope(
+        lambda terms, x, y: terms.select(terms.eq(x, 0.0), 0.0, terms.div(y, terms.mul(3.0, x)))
+    ),
     "pow": _pow,
 }

@@ -5,7 +5,7 @@ parameters of an equation of a jaxpr that are not those of an elementary operati
 this module run on every version that the README names.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from importlib import import_module
 from typing import Any
@@ -15,6 +15,8 @@ from jax.core import Tracer as Tracer
 from jax.extend.core import ClosedJaxpr as ClosedJaxpr
 from jax.extend.core import Literal as Literal
 from jax.extend.core import Primitive as Primitive
+from jax.extend.core import jaxpr_as_fun as jaxpr_as_fun
+from jax.interpreters import ad, batching, mlir
 from jax.interpreters.partial_eval import dce_jaxpr
 
 try:
@@ -169,3 +171,54 @@ def branches_of(params: dict[str, Any]) -> Sequence[ClosedJaxpr]:
 def tracing() -> bool:
     """Whether a function is being traced in this thread, also where no argument shows it."""
     return not _trace_state_clean()
+
+
+def elementwise(name: str, function: Callable, *tangents: Callable) -> Primitive:
+    """A primitive that works number by number, with derivatives of its own.
+
+    Args:
+        name: in a jaxpr.
+        function: its values; of arrays of one shape and type.
+        tangents: for each operand, of its tangent and all operands, the tangent of the result.
+    """
+    primitive = Primitive(name)
+    primitive.def_impl(function)
+
+    @primitive.def_abstract_eval
+    def _shape(*operands: Any) -> Any:
+        return operands[0].update(weak_type=all(aval.weak_type for aval in operands))
+
+    ad.defjvp(primitive, *tangents)
+    vectorize = batching.defvectorized if len(tangents) == 1 else batching.defbroadcasting
+    vectorize(primitive)
+    mlir.register_lowering(primitive, mlir.lower_fun(function, multiple_results=False))
+    return primitive
+
+
+def with_primitives(jaxpr: Any, primitives: Mapping[str, Primitive]) -> Any:
+    """A jaxpr with other primitives in place of some operations on real numbers.
+
+    Args:
+        jaxpr: closed or not; so is the result.
+        primitives: by name of the operation. Functions whose author gave the derivative keep it.
+    """
+    if getattr(jaxpr, "jaxpr", jaxpr) is not jaxpr:  # closed, before JAX 0.12 made both one
+        return ClosedJaxpr(with_primitives(jaxpr.jaxpr, primitives), jaxpr.consts)
+
+    def changed(value: Any) -> Any:
+        if type(value) in (tuple, list):
+            return type(value)(changed(part) for part in value)
+        return with_primitives(value, primitives) if hasattr(value, "eqns") else value
+
+    if operations_of(jaxpr).isdisjoint(primitives):
+        return jaxpr
+    equations = []
+    for equation in jaxpr.eqns:
+        name, params = equation.primitive.name, equation.params
+        if name in primitives and all(atom.aval.dtype.kind == "f" for atom in equation.invars):
+            equation = equation.replace(primitive=primitives[name], params={})
+        elif jaxprs_within(equation) and not name.startswith("custom_"):
+            params = {key: changed(value) for key, value in params.items()}
+            equation = equation.replace(params=params)
+        equations.append(equation)
+    return jaxpr.replace(eqns=equations)

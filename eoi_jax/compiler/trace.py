@@ -515,6 +515,8 @@ _COMPONENTS: dict[str, Callable] = {
     "polynomial": _polynomial,
     "round": _round,
     "square": lambda graph, _, a: graph.make("mul", a, a),
+    **{f"safe_{op}": _composed(op) for op in ("sqrt", "cbrt")},  # of `roots.py`
+    "safe_pow": lambda graph, _, a, b: graph.make("pow", a, b),
     "rsqrt": _composed("sqrt", 1.0, "div"),
     "log2": _composed("log", float(1.0 / np.log(2.0)), "mul"),
     "logistic": _composed("neg", "exp", 1.0, "add", 1.0, "div"),

@@ -2,7 +2,8 @@
 
 A step of Runge-Kutta evaluates them four times; its derivatives, the fastest mode of the model and
 the scales of its parameters are programs of their own. What JAX remembers of a function it uses
-again where the function is the same: here it is the same for equal equations.
+again where the function is the same: here it is the same for equal equations. Their roots have
+finite derivatives where they reach zero (`roots.py`).
 """
 
 import functools
@@ -15,6 +16,7 @@ from jaxtyping import Array, Float
 
 from eoi_jax._types import Scalar
 from eoi_jax.compiler.jax_private import tracing
+from eoi_jax.compiler.roots import with_safe_roots
 from eoi_jax.models.parameters import parameter_type
 
 
@@ -31,9 +33,10 @@ def evaluated(
         u: inputs there.
         theta: values of the parameters, shape (np,).
     """
-    if tracing() and has_hash(function):
-        return _traced_once(function, names)(t, x, u, theta)
-    return jnp.asarray(function(t, x, u, parameter_type(names)(*theta)))
+    if not tracing():
+        return _equations(function, names)(t, x, u, theta)
+    traced = _traced_once if has_hash(function) else _traced
+    return traced(function, names)(t, x, u, theta)
 
 
 def has_hash(function: Callable) -> bool:
@@ -49,11 +52,18 @@ def has_hash(function: Callable) -> bool:
     return True
 
 
-@functools.lru_cache(maxsize=64)
-def _traced_once(function: Callable, names: tuple[str, ...]) -> Callable:
-    """For the models that were used last; what JAX remembers of a function goes with it."""
-
+def _equations(function: Callable, names: tuple[str, ...]) -> Callable:
     def equations(t: Any, x: Any, u: Any, theta: Any) -> Array:
         return jnp.asarray(function(t, x, u, parameter_type(names)(*theta)))
 
-    return jax.jit(equations)
+    return equations
+
+
+def _traced(function: Callable, names: tuple[str, ...]) -> Callable:
+    return with_safe_roots(_equations(function, names))
+
+
+@functools.lru_cache(maxsize=64)
+def _traced_once(function: Callable, names: tuple[str, ...]) -> Callable:
+    """For the models that were used last; what JAX remembers of a function goes with it."""
+    return jax.jit(_traced(function, names))

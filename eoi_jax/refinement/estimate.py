@@ -306,7 +306,8 @@ def no_data(records: Sequence[Record]) -> str:
 _NO_DATA = "no sample is left to score: the records are masked, or shorter than their burn-in"
 DIVERGED = (
     "the free run from the starting parameters does not stay finite: start from other parameters "
-    "(`starts = 200` tries so many around them), or fit shorter runs with `window`"
+    "(`starts = 200` tries so many around them), or fit shorter runs with `window`. A power with a "
+    "fraction, x**0.7, is no number below zero: of a state that reaches zero write max(x, 0)**0.7"
 )
 ALL_DIVERGED = (
     "no free run stays finite, neither from the starting parameters nor from the {} other starts: "
@@ -314,8 +315,9 @@ ALL_DIVERGED = (
 )
 _ROUGH = (
     "the free run has no derivatives where the fit ended: a function of the model has none there "
-    "(a root at zero), or the steps are too long for what is fast in it, so that the last digit of "
-    "a parameter decides. Keep its parameters off there with `bounds`, or ask for more `substeps`"
+    "(an arcsine at one), or the steps are too long for what is fast in it, so that the last digit "
+    "of a parameter decides. Keep its parameters off there with `bounds`, or ask for more "
+    "`substeps`"
 )
 _UNTRACED = (
     "no trace in the outputs of {}: such a change leaves every free run as it is. Fix one of the "

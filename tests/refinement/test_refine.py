@@ -773,10 +773,60 @@ def test_parameters_that_cannot_be_told_apart_are_named(faded):
 
 
 def test_a_start_without_derivatives_is_said(faded):
-    result = refine(grower().with_parameters({"rate": -2.0, "a": 0.0}), faded)
+    def turned(t, x, u, p):
+        return p.rate * x.y[0] ** 3 + jnp.arccos(1.0 - p.a) * u
+
+    values, bounds = {"rate": -2.0, "a": 0.0}, {"a": (0.0, 2.0)}
+    result = refine(eoi.Plant(turned, values, 1, ("u",), ("y",), bounds=bounds), faded)
     assert result.status.code == "diverged"
     assert "derivatives" in result.status.message
     assert np.isnan(result.standard_errors["rate"])
+
+
+DISSOLVING = {
+    "power": "-k*max(m, 0)**(2/3)",
+    "exponent is a parameter": "-k*max(m, 0)**order",
+    "root": "-k*cbrt(max(m, 0))**2",
+    "condition": "-k*m**(2/3) if m > 0 else 0",
+}
+
+
+def dissolved(rate):
+    """The solid that is left, of 100: by dm/dt = -0.28 m^(2/3) gone after 50 of 90 minutes."""
+    options: Any = {"outputs": ["released"], "output": {"released": "100 - m"}}
+    parameters = {"k": 0.28, **({"order": 2 / 3} if "order" in rate else {})}
+    fixed = ["order"] if "order" in rate else []
+    return eoi.plant_from_text(
+        {"m": rate}, parameters, initial={"m": 100.0}, bounds={"k": (1e-4, 10.0)}, fixed=fixed,
+        **options,
+    )  # fmt: skip
+
+
+@pytest.mark.filterwarnings("ignore::eoi_jax._checks.RecordWarning")
+@pytest.mark.parametrize("engine", ["native", "scan"])
+@pytest.mark.parametrize("law", DISSOLVING)
+def test_a_state_that_reaches_zero_by_a_power_below_one_is_fitted(law, engine, monkeypatch):
+    if engine == "scan":
+        monkeypatch.setattr(output_error.compiled_runs, "supports", lambda *_: "asked for")
+    plant = dissolved(DISSOLVING[law])
+    time = np.array([0.0, 2.0, 5.0, 10.0, 15.0, 20.0, 30.0, 45.0, 60.0, 90.0])
+    exact = 100.0 - np.maximum(100.0 ** (1 / 3) - 0.28 * time / 3.0, 0.0) ** 3
+    noise = 0.7 * np.random.default_rng(0).standard_normal(time.size)
+    record = eoi.Record(time, np.zeros((10, 0)), exact + noise, output_names=["released"])
+    for start in (0.1, 0.27, 0.4):
+        result = refine(plant.with_parameters({"k": start}), record)
+        assert result.engine.name == engine
+        assert result.status.ok
+        assert result.parameters["k"] == pytest.approx(0.28, abs=3.0 * result.standard_errors["k"])
+        assert result.standard_errors["k"] < 0.01
+
+
+def test_what_to_write_is_said_where_a_power_is_no_number():
+    time = np.linspace(0.0, 90.0, 10)
+    record = eoi.Record(time, np.zeros((10, 0)), np.minimum(2.0 * time, 100.0))
+    result = refine(dissolved("-k*m**(2/3)"), record)
+    assert result.status.code == "diverged"
+    assert "write max(x, 0)**0.7" in result.status.message
 
 
 def spilling(t, x, u, p):

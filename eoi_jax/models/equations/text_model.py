@@ -69,8 +69,10 @@ def plant_from_text(
     Equations hold declared names, ``t`` [s], ``pi``, numbers, ``+ - * / **``, comparisons, ``and or
     not``, ``a if condition else b`` and the functions sin cos tan asin acos atan atan2 sinh cosh
     tanh asinh acosh atanh exp expm1 log log1p sqrt cbrt abs sign min max clip where floor ceil
-    round trunc rem. ``sqrt`` is 0 below 0. Dry friction is ``c*sign(rate)``: it sticks, as with
-    any other plant. No text is run: it is read by a grammar of its own.
+    round trunc rem. ``sqrt`` is 0 below 0; of a state that reaches zero write other powers as
+    ``max(x, 0)**n``, for ``x**n`` of a negative x is no number unless n is whole. Dry friction is
+    ``c*sign(rate)``: it sticks, as with any other plant. No text is run: it is read by a grammar of
+    its own.
 
     Args:
         derivatives: equation by state [unit of the state / s].
