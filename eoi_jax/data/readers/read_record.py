@@ -7,7 +7,7 @@ A reader returns the columns of a file by name, each (N,). Those of a matrix var
 import difflib
 import re
 import warnings
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from functools import partial
 from itertools import islice
 from pathlib import Path
@@ -27,7 +27,7 @@ from eoi_jax.data.readers.long_form import mixed_tags
 from eoi_jax.data.readers.matlab import read_mat
 from eoi_jax.data.readers.stamps import TIMES_OF_DAY, are_days
 from eoi_jax.data.readers.table import Columns, Table, add_columns
-from eoi_jax.data.readers.words import is_grouped
+from eoi_jax.data.readers.words import BEYOND, is_grouped
 from eoi_jax.data.record import Record
 from eoi_jax.data.repeats import without_repeats
 from eoi_jax.data.resampling import Real
@@ -141,6 +141,7 @@ def read_record(
         _check_seconds(clock, table, selected[clock])
     stamps = float(sample_period or 0) * np.arange(count) if clock is None else selected[clock]
     hints = _date_notes(clock, table, selected, rows, clock in factors)
+    hints += [*hold_notes, *_notes_on_limits(table, selected)]
     signals, notes = _signals(selected, u_columns + y_columns, stamps, rows, unwrap, empty_repeats)
     record = Record(
         stamps[rows], signals[:, : len(u_columns)], signals[:, len(u_columns) :],
@@ -151,7 +152,7 @@ def read_record(
         hold=hold, burn_in=burn_in, mask_faults=mask_faults,
     )  # fmt: skip
     silent = {key: labels[key] for key in labels if key not in {*factors, *unit_names, clock}}
-    record = _with_file_units(record, " ".join([*hints, *hold_notes, *notes]), silent, table)
+    record = _with_file_units(record, " ".join([*hints, *notes]), silent, table)
     return _with_unit_of_time(record, clock, table, factors.get(clock or "", 1.0))
 
 
@@ -186,6 +187,11 @@ def _declared_hold(table: Table, hold: HoldArgument) -> tuple[HoldArgument, list
         return hold, []
     words = hold_text(read_hold(table.holds, table.inputs), table.inputs)
     return table.holds, [f"Hold {words}, as the file says. If it is another one, give `hold`."]
+
+
+def _notes_on_limits(table: Table, columns: Iterable[str]) -> list[str]:
+    starts = tuple(f"`{key}` {BEYOND}" for key in columns)
+    return [note for note in table.notes if note.startswith(starts)]
 
 
 def _with_file_units(record: Record, note: str, labels: Mapping[str, str], table: Table) -> Record:

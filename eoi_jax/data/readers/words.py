@@ -1,7 +1,8 @@
-"""Words in a column of numbers: switches that are logged as ON and OFF, and marks of no value."""
+"""Words in a column of numbers: switches logged as ON and OFF, marks of no value, limits."""
 
 import re
 from collections import Counter
+from collections.abc import Mapping
 
 import numpy as np
 
@@ -21,10 +22,17 @@ _NO_VALUE = {
     "unavailable", "under range", "unknown",
 }  # fmt: skip
 _MARKS = re.compile(r"[-–*?#.=_]+$")
+BEYOND = "is beyond a limit of detection"  # behind the name of a column
+# What laboratories write for a value beyond a limit of detection or of quantification.
+_LIMIT = r"lod|loq|lloq|uloq|mdl|mql"
+_BEYOND = re.compile(
+    rf"[<>≤≥]=?\s*([\d.,]+(e[+-]?\d+)?|{_LIMIT})(\s*\S{{1,8}})?$"
+    rf"|({_LIMIT}|bloq|blq|bql|bdl|bld|aloq|alq|n\.?\s?d\.?)$"
+)
 
 
 def without_words(key: str, cells: np.ndarray, notes: list[str]) -> np.ndarray:
-    """A column of text as numbers, if its words are those of a switch or marks of no value.
+    """A column of text as numbers, if its words are those of a switch, of no value or of a limit.
 
     Args:
         key: name of the column.
@@ -32,13 +40,15 @@ def without_words(key: str, cells: np.ndarray, notes: list[str]) -> np.ndarray:
         notes: to which a sentence on the words is appended.
 
     Returns:
-        Numbers, NaN for marks of no value; the cells as they are where another word stands in one.
+        Numbers, NaN for marks of no value and for values beyond a limit; the cells as they are
+        where another word stands in one.
     """
     texts = [str(cell).strip().lower() for cell in cells]
     words = Counter(text for text in texts if not _is_number(text))
     empty = sum(words.pop(text, 0) for text in ("none", "nan", ""))
     marks = {word: number for word, number in words.items() if _is_mark(word)}
-    states = words.keys() - marks.keys()
+    limits = {word: number for word, number in words.items() if _BEYOND.match(word)}
+    states = words.keys() - marks.keys() - limits.keys()
     switch = next((pair for pair in _SWITCHES if states and states <= pair.keys()), {})
     has_numbers = sum(words.values()) + empty < len(texts)
     if not words or bool(switch) == has_numbers or states - switch.keys():
@@ -50,8 +60,19 @@ def without_words(key: str, cells: np.ndarray, notes: list[str]) -> np.ndarray:
         listed = ", ".join(f"`{word}`" for word in list(marks)[:5])
         total = counted(sum(marks.values()), "cell")
         notes.append(f"`{key}` has no number in {total} ({listed}): taken as not measured.")
-    missing = dict.fromkeys((*marks, "none", ""), np.nan)
+    if limits:
+        notes.append(_note_on_limits(key, limits, len(texts) - empty))
+    missing = dict.fromkeys((*marks, *limits, "none", ""), np.nan)
     return np.asarray([(missing | switch).get(text, text) for text in texts], dtype=np.float64)
+
+
+def _note_on_limits(key: str, limits: Mapping[str, int], size: int) -> str:
+    listed = ", ".join(f"`{word}`" for word in list(limits)[:5])
+    return (
+        f"`{key}` {BEYOND} in {sum(limits.values())} of {size} cells "
+        f"({listed}): taken as not measured. That the values there are small, or large, is not "
+        "used: the tail is censored, and estimates may be biased."
+    )
 
 
 _WITH_UNIT = re.compile(

@@ -43,6 +43,40 @@ def test_marks_of_no_value_are_not_measured_and_said(tmp_path, mark):
 
 @pytest.mark.parametrize(
     "word",
+    ["<0.4", "< 0.4 mg/l", ">120", "≤1e-3", "BLQ", "bloq", "LOD", "<LOD", "< LLOQ", "n.d.", "nd"],
+)
+def test_values_beyond_a_limit_of_detection_are_not_measured_and_what_that_does_is_said(
+    tmp_path, word
+):
+    cells = [word if k in (0, 38, 39) else f"{4.0 * 0.9**k:.3f}" for k in range(N)]
+    path = written(tmp_path / "run.csv", cells)
+    table = read_table(path)
+    assert list(table.columns) == ["t", "u", "y"]
+    np.testing.assert_array_equal(np.flatnonzero(np.isnan(table.columns["u"])), [0, 38, 39])
+    said = f"`u` is beyond a limit of detection in 3 of 40 cells (`{word.lower()}`)"
+    assert any(said in note and "biased" in note for note in table.notes)
+    assert said in str(inspect(path))
+    with pytest.warns(RecordWarning, match="3 of 40 samples are not finite"):
+        record = read_record(path, time="t", inputs="y", outputs="u")
+    assert any(said in note for note in record.notes)
+
+
+def test_limits_with_decimal_commas(tmp_path):
+    path = tmp_path / "run.csv"
+    cells = ["<0,4" if k > 30 else f"{8.5 - 0.2 * k:.1f}".replace(".", ",") for k in range(N)]
+    rows = (f"{k},5;{cell}" for k, cell in enumerate(cells))
+    path.write_text("t;u\n" + "\n".join(rows))
+    assert np.sum(np.isnan(read_table(path).columns["u"])) == 9
+
+
+@pytest.mark.parametrize("word", ["<high", "blq?x", "nde", "lode"])
+def test_what_is_no_limit_stays_text(tmp_path, word):
+    path = written(tmp_path / "run.csv", [word if k == 9 else f"{k}" for k in range(N)])
+    assert read_table(path).columns["u"].dtype.kind == "O"
+
+
+@pytest.mark.parametrize(
+    "word",
     ["#DIV/0!", "#VALUE!", "#WERT!", "#NV", "#REF!", "#NUM!", "#BEZUG!", "n.a.", "k.A.", "#N/A"],
 )
 @pytest.mark.parametrize("rows", [(0, 1), (7, 20)])
