@@ -140,8 +140,7 @@ def read_record(
     if clock is not None and clock not in factors:
         _check_seconds(clock, table, selected[clock])
     stamps = float(sample_period or 0) * np.arange(count) if clock is None else selected[clock]
-    hints = _date_notes(clock, table, selected, rows, clock in factors)
-    hints += [*hold_notes, *_notes_on_limits(table, selected)]
+    hints = _date_notes(clock, table, selected, rows, clock in factors) + _limits(table, selected)
     signals, notes = _signals(selected, u_columns + y_columns, stamps, rows, unwrap, empty_repeats)
     record = Record(
         stamps[rows], signals[:, : len(u_columns)], signals[:, len(u_columns) :],
@@ -152,7 +151,7 @@ def read_record(
         hold=hold, burn_in=burn_in, mask_faults=mask_faults,
     )  # fmt: skip
     silent = {key: labels[key] for key in labels if key not in {*factors, *unit_names, clock}}
-    record = _with_file_units(record, " ".join([*hints, *notes]), silent, table)
+    record = _with_file_units(record, " ".join([*hints, *hold_notes, *notes]), silent, table)
     return _with_unit_of_time(record, clock, table, factors.get(clock or "", 1.0))
 
 
@@ -189,7 +188,8 @@ def _declared_hold(table: Table, hold: HoldArgument) -> tuple[HoldArgument, list
     return table.holds, [f"Hold {words}, as the file says. If it is another one, give `hold`."]
 
 
-def _notes_on_limits(table: Table, columns: Iterable[str]) -> list[str]:
+def _limits(table: Table, columns: Iterable[str]) -> list[str]:
+    """Notes on values of these columns beyond a limit of detection."""
     starts = tuple(f"`{key}` {BEYOND}" for key in columns)
     return [note for note in table.notes if note.startswith(starts)]
 
