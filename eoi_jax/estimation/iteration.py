@@ -139,16 +139,26 @@ class IterationHistory:
     has_data: Bool[np.ndarray, " lanes"]
 
     @property
+    def _falls_at_the_end(self) -> np.ndarray:
+        """Whether the last of three or more passes made progress, whatever was to be expected."""
+        rows = np.arange(len(self.passes))
+        with np.errstate(divide="ignore", invalid="ignore"):
+            cost = np.sum(np.log(self.index), axis=2)
+            last, earlier = (cost[rows, np.maximum(self.passes - k, 0)] for k in (1, 2))
+            return (self.passes > 2) & (earlier - last > _SETTINGS.min_progress)
+
+    @property
     def codes(self) -> np.ndarray:
         """How each lane ended: codes of `_status.Status`, shape (lanes,)."""
         predicted = self.best.predicted_reduction
         used_all = self.passes == self.index.shape[1]
+        unfinished = (predicted > _SETTINGS.min_progress) | self._falls_at_the_end
         outcomes = (
             (~self.has_data, "no_data"),
             (~np.isfinite(self.best.cost), "diverged"),
             (self.best.is_rank_deficient, "unidentifiable"),
             (self.passes == 1, "passes_exhausted"),
-            ((predicted > _SETTINGS.min_progress) & used_all, "passes_exhausted"),
+            (unfinished & used_all, "passes_exhausted"),
             (predicted <= _SETTINGS.min_progress, "converged"),
         )
         return np.select(

@@ -35,8 +35,13 @@ class LargestCorrelation(NamedTuple):
 
     @property
     def is_inside(self) -> bool | None:
-        """Whether no lag exceeds the bound; None where a signal is constant."""
-        return None if np.isnan(self.value) else not abs(self.value) > self.bound
+        """Whether no lag exceeds the bound; None where a signal is constant, or the bound is 1."""
+        return None if self.is_open or np.isnan(self.value) else not abs(self.value) > self.bound
+
+    @property
+    def is_open(self) -> bool:
+        """Whether no correlation can exceed the bound, which is 1 or more of so few samples."""
+        return bool(self.bound >= 1.0)
 
 
 def largest_correlations(result: Validation) -> list[LargestCorrelation]:
@@ -79,6 +84,8 @@ def correlation_text(rows: Sequence[LargestCorrelation]) -> str:
     table: list[tuple[str, ...]] = [("record", *head) if has_records else head]
     for row in rows:
         numbers = ("", "", "", "", "one is constant: no correlation")
+        if row.is_open:
+            numbers = ("", "", "", "", "too few samples to tell: the bound is above 1")
         if row.is_inside is not None:
             numbers = (
                 f"{row.value:+.3f}",

@@ -91,8 +91,9 @@ def new_figure(width: float, height: float, nested: bool = False, pad: float = 0
     Args:
         width: of the figure.
         height: of the figure.
-        nested: whether it holds subfigures, or a legend or colour bar for several panels. Only then
-            panels are measured and placed twice, which takes a fifth of the time of a figure.
+        nested: whether it holds subfigures, panels that share an axis and lose height to it, so
+            that their ticks change, or a legend or colour bar for several panels. Only then panels
+            are measured and placed twice, which takes a fifth of the time of a figure.
         pad: around panels with their labels [font size].
     """
     # slow to import, and needed for figures only

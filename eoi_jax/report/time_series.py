@@ -97,7 +97,7 @@ def time_series_figure(content: TimeSeries) -> Any:
     Returns:
         A `matplotlib.figure.Figure`.
     """
-    figure = new_figure(WIDTH, content.height)
+    figure = new_figure(WIDTH, content.height, nested=len(content.panels) > 1)
     draw_time_series(figure, content)
     return fix_theme(figure)
 

@@ -137,3 +137,20 @@ def test_steps_cut_to_the_largest_change_are_no_convergence():
     assert "promises to lower it by 100% more" in far.status.message
     assert near.status.code == "converged"
     np.testing.assert_allclose(near.parameters["T"], 0.2, rtol=1e-3)
+
+
+def test_passes_that_still_lower_the_index_at_the_last_are_not_converged():
+    """Least squares expects nothing more, and each pass lowers the index by a tenth."""
+
+    def run(which, theta, number):
+        del which
+        one = jnp.ones(1)
+        power = jnp.full(1, 0.9**number)
+        lane = Sums(
+            jnp.eye(2)[None], jnp.full((1, 2), 1e-3), power, one, one, one, one, jnp.zeros((2, 2))
+        )
+        return jax.tree.map(lambda leaf: np.repeat(np.asarray(leaf)[None], len(theta), 0), lane)
+
+    found = iterate(run, PLANT, np.array([[1.0, 2.0]]), 10)
+    assert found.passes == [10]
+    assert found.codes == ["passes_exhausted"]

@@ -2,6 +2,7 @@
 
 import base64
 import dataclasses
+import io
 import json
 import re
 from importlib.resources import files
@@ -23,7 +24,11 @@ from eoi_jax.report.free_runs import (
     worst_window,
 )
 from eoi_jax.report.residual_correlation import residual_correlation_figure
-from eoi_jax.report.saved_models import correlation_text, largest_correlations
+from eoi_jax.report.saved_models import (
+    LargestCorrelation,
+    correlation_text,
+    largest_correlations,
+)
 from eoi_jax.report.time_series import Panel, Signal, TimeSeries, time_series_figure
 
 
@@ -286,3 +291,26 @@ def test_a_correlation_with_a_constant_is_neither_inside_nor_outside():
     assert [row.is_inside for row in rows if row.input is not None] == [None]
     assert "one is constant: no correlation" in correlation_text(rows)
     assert "nan" not in correlation_text(rows)
+
+
+def test_of_few_samples_the_correlation_tells_nothing():
+    """No correlation exceeds 1: a bound above it says neither inside nor outside."""
+    few = LargestCorrelation("run", "y", None, -0.365, 3.75, 1.487, 0.0)
+    assert few.is_inside is None
+    text = correlation_text([few])
+    assert "too few samples to tell" in text
+    assert "inside" not in text
+    assert few._replace(bound=0.5).is_inside
+
+
+def test_labels_of_panels_are_within_the_figure():
+    """Ticks of the lower panel get longer where the time axis takes height from it."""
+    error = np.array([0.47, 0.6, 0.36, -0.3, -0.65, -0.87, -1.18, -1.08, -0.72, -0.27])
+    panels = (
+        Panel("conc [mg/l]", (Signal("measured", error + 3.0, None, dots=True),), 1.54),
+        Panel("error [mg/l]", (Signal("error", error, 0, dots=True),), 0.96),
+    )
+    figure = time_series_figure(TimeSeries(np.arange(10.0), panels, "run"))
+    figure.savefig(io.BytesIO())
+    for axes in figure.axes:
+        assert axes.yaxis.label.get_window_extent().x0 >= 0.0
