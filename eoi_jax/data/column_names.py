@@ -38,6 +38,9 @@ _SURROUNDINGS = frozenset((
     "sun", "solar", "insolation", "irradiance", "irradiation", "sonne", "wind", "rain", "regen",
     "feed", "inlet", "inflow", "influent", "zulauf", "door", "vent",
 ))  # fmt: skip
+# The same as the first part of one word: Außentemperatur, Globalstrahlung.
+_AROUND = ("aussen", "außen", "umgebung", "sonnen", "wetter", "global", "outdoor", "outside")
+_WORD = re.compile(r"[A-ZÀ-ÖØ-Þ]?[a-zµß-öø-ÿ]+|[A-ZÀ-ÖØ-Þ]+")  # letters of Latin-1
 _DEGREES = frozenset(("°C", "degC", "K", "°F", "degF"))
 _TEMPERATURES = frozenset((
     "temp", "temps", "temperature", "temperatures", "temperatur", "température", "temperatura",
@@ -102,7 +105,7 @@ def is_reference(name: str) -> bool:
 
 def _words(name: str) -> list[str]:
     """The words of a name without path and unit: motor, voltage of ``log.motorVoltage_2 [V]``."""
-    return [word.lower() for word in re.findall(r"[A-Z]?[a-zµ]+|[A-Z]+", stem(name))]
+    return [word.lower() for word in _WORD.findall(stem(name))]
 
 
 # What an OPC server or a historian says of a sample of another column.
@@ -143,7 +146,9 @@ def _may_answer(name: str) -> bool:
 def _is_sent(name: str) -> bool:
     """Whether a name stands for what is sent, set or around: no answer of a plant."""
     sent = _REFERENCES | _COMMANDS | _SURROUNDINGS
-    return any(word in sent or word.endswith(_ENDINGS) for word in _words(name))
+    return any(
+        word in sent or word.endswith(_ENDINGS) or word.startswith(_AROUND) for word in _words(name)
+    )
 
 
 def role_of_name(name: str) -> str:

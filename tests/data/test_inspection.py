@@ -518,7 +518,19 @@ def test_what_a_controller_sends_or_is_to_reach_is_an_input(tmp_path, name):
     assert roles(inspect(file)) == {"t": "time", name: "input", "speed": "output"}
 
 
-@pytest.mark.parametrize("name", ["outdoor temp [°C]", "T_amb", "wind speed", "feed_flow", "sun"])
+@pytest.mark.parametrize(
+    "name",
+    [
+        "outdoor temp [°C]",
+        "T_amb",
+        "wind speed",
+        "feed_flow",
+        "sun",
+        "Außentemperatur",
+        "Globalstrahlung [W/m²]",
+        "T_außen",
+    ],
+)
 def test_what_surrounds_a_plant_is_an_input(tmp_path, name):
     """It moves as smoothly as what it moves."""
     columns = {"t": T, name: np.sin(2.0 * T), "temp": np.cumsum(np.sin(2.0 * T)), "u": U}
