@@ -17,6 +17,7 @@ from ._checks import FigureWarning as FigureWarning
 from ._checks import RecordWarning as RecordWarning
 from ._checks import StoreWarning as StoreWarning
 from ._status import Status as Status
+from .cli.version import __version__ as __version__
 from .comparison.compare import compare as compare
 from .comparison.result import Comparison as Comparison
 from .compiler.jax_setup import configure as configure

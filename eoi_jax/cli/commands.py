@@ -12,6 +12,7 @@ from typing import Annotated, Any
 import lazy_loader
 import typer
 
+import eoi_jax
 from eoi_jax import cli
 from eoi_jax.cli.options import (
     RUNS,
@@ -64,7 +65,7 @@ app = typer.Typer(
 
 def _show_version(requested: bool) -> None:
     if requested:
-        typer.echo(f"eoi_jax {cli.version.installed()}")
+        typer.echo(f"eoi_jax {eoi_jax.__version__}")
         raise typer.Exit
 
 

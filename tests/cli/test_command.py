@@ -10,6 +10,7 @@ import signal
 import subprocess
 import sys
 import time
+from importlib.metadata import version
 from pathlib import Path
 
 import numpy as np
@@ -82,6 +83,17 @@ def on_a_terminal(tmp_path: Path, *words: str, **more: str) -> tuple[int, str]:
 def test_help_names_the_limit_that_readers_have(command):
     shown = CliRunner().invoke(app, [command, "--help"], env={"COLUMNS": "200"}).output
     assert f"default: {MAX_GIGABYTES:g}." in shown
+
+
+def test_the_version_is_that_of_the_package_and_is_read_when_it_is_asked_for(tmp_path: Path):
+    code = (
+        "import sys; before = set(sys.modules); import eoi_jax; "
+        "assert 'importlib.metadata' not in set(sys.modules) - before; print(eoi_jax.__version__)"
+    )
+    command = [sys.executable, "-c", code]
+    done = subprocess.run(command, capture_output=True, text=True, env=environment(tmp_path))
+    assert done.stdout.strip() == version("eoi_jax"), done.stderr
+    assert version("eoi_jax") in call(tmp_path, "--version").stdout
 
 
 def test_help_and_completion_do_not_import_jax(tmp_path: Path):
