@@ -40,6 +40,7 @@ from eoi_jax.models.augmented import Placed, augmented
 from eoi_jax.models.controller import Controller
 from eoi_jax.models.effects import AbstractEffect, standard
 from eoi_jax.models.equations.text_model import plant_of
+from eoi_jax.models.free_starts import free_start_names, internal_starts
 from eoi_jax.models.placements import placements
 from eoi_jax.models.plant import Plant
 from eoi_jax.simulation.simulate import simulate
@@ -465,6 +466,7 @@ def _simulated(name: str, table: SimulateTable, model: Plant, field: str) -> Rec
         time,
         np.stack(signals, axis=1),
         initial=_initial(table, model),
+        internal=_internal(table, model),
         name=name,
     )
     return _measured(record, table, model)
@@ -523,8 +525,11 @@ def _forms(field: str, name: str) -> list[AbstractEffect]:
 def _initial(table: SimulateTable, model: Plant) -> np.ndarray:
     """Outputs and their derivatives at the start, shape (r, ny)."""
     start = np.nan_to_num(model.known_start)
+    free = free_start_names(model)
     for name, value in table.initial.items():
-        check_choice("simulate.initial", name, model.outputs)
+        check_choice("simulate.initial", name, (*model.outputs, *free))
+        if name in free:
+            continue
         values = np.atleast_1d(value)
         j = model.outputs.index(name)
         most = counted(model.degrees[j], "value")
@@ -537,6 +542,15 @@ def _initial(table: SimulateTable, model: Plant) -> np.ndarray:
         )
         start[: len(values), j] = values
     return start
+
+
+def _internal(table: SimulateTable, model: Plant) -> np.ndarray | None:
+    """Internal states at the start, of a model with free ones; those of effects start at zero."""
+    starts = {name: float(np.ravel(value)[0]) for name, value in table.initial.items()}
+    advice = "Write [simulate.initial] {} = VALUE."
+    values = internal_starts(model, starts, "simulate.initial", advice)
+    added = len(_with_effects(table, model).initial_internal) - len(values)
+    return np.concatenate([values, np.zeros(added)]) if any(model.free_internal) else None
 
 
 def _measured(record: Record, table: SimulateTable, model: Plant) -> Record:

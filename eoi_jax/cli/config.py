@@ -327,7 +327,7 @@ class SimulateTable(msgspec.Struct, frozen=True):
         effects: effects of the record that the model lacks, by canonical name: the value of the
             parameter, or a table of several; at the first channel that it fits.
         initial: for each output its value, or [value, rate, …], at the start; default: what the
-            model declares as known, and zero.
+            model declares as known, and zero; for each internal state with a free start its value.
         noise: standard deviation of white noise for each output [its unit].
         quantisation: step of each output's sensor [its unit].
         seed: of the noise.

@@ -21,6 +21,7 @@ from eoi_jax.data.windows import window_length
 from eoi_jax.estimation.holdout import longest_start
 from eoi_jax.models.check_records import check_inputs
 from eoi_jax.models.controller import Controller
+from eoi_jax.models.free_starts import free_start_names, internal_starts
 from eoi_jax.models.plant import Plant
 from eoi_jax.report.saved_models import (
     correlation_text,
@@ -115,7 +116,8 @@ def predict(
     Args:
         run: folder of a run.
         file: data file with the inputs of its config; outputs in its first sample are the start.
-        initial: ``NAME=VALUE``, or ``NAME=VALUE,RATE``, of outputs at the start.
+        initial: ``NAME=VALUE``, or ``NAME=VALUE,RATE``, of outputs at the start, and of internal
+            states that the model declares as free there.
         output: folder in which a folder with numbers, figure and JSON object is written.
         trust: whether a Python file that the config names may be executed.
         progress: called with the progress of the work.
@@ -138,8 +140,12 @@ def predict(
         start, sources = _starts(plant, given, measured)
         _report_stage(progress, "simulation")
         names = {"hold": record.hold, "name": record.name}
-        prediction = simulate(plant, record.time, record.inputs, start, **names)
+        first = {name: values[0] for name, values in given.items()}
+        internal = internal_starts(plant, first, "--initial", "Add --initial {}=VALUE.")
+        prediction = simulate(plant, record.time, record.inputs, start, internal=internal, **names)
     notes = _prediction_notes(plant, record, start)
+    begun = [f"{name} {first[name]:g}" for name in free_start_names(plant)]
+    notes += [f"--initial gives the start of {', '.join(begun)}"] * bool(begun)
     notes += [_PLANNED] * (settings.controller is not None)
     text = f"{len(record)} samples of {record.name} predicted by {run}, every "
     text += f"{record.sample_period:g} s; the outputs start from {sources}."
@@ -152,15 +158,17 @@ def predict(
 
 
 def _given_starts(words: Sequence[str], plant: Plant) -> dict[str, tuple[float, ...]]:
-    """The starts of outputs that ``--initial`` gives, by name."""
-    starts = {}
+    """The starts of outputs and free internal states that ``--initial`` gives, by name."""
+    starts, free = {}, free_start_names(plant)
     for word in words:
         name, sign, text = word.rpartition("=")
         if sign:
-            check_choice("--initial", name, plant.outputs)
+            check_choice("--initial", name, (*plant.outputs, *free))
         try:
             starts[name] = tuple(float(number) for number in text.split(","))
         except ValueError:
+            sign = ""
+        if name in free and len(starts.get(name, ())) != 1:
             sign = ""
         rule = "must be NAME=VALUE, or NAME=VALUE,RATE, with numbers"
         check(bool(sign), "--initial", rule, word, f"Write {plant.outputs[0]}=1.5.")
@@ -207,7 +215,7 @@ def _prediction_notes(
     ]
     if resting:
         notes.append(f"derivatives of {', '.join(resting)} that are not known start at 0")
-    if len(plant.initial_internal):
+    if not all(plant.free_internal):
         notes.append("internal states start as the model declares them")
     if plant.actuator is not None:
         notes.append("before the file, the inputs of delays and lags are taken as at its start")

@@ -435,7 +435,7 @@ def _fitted(
     judge: Judge,
 ) -> Judged | None:
     """A model refined and judged; None where there is no fit, or where no run tells its start."""
-    if plant.rows + plant.unknown_internal >= judge.shortest_head:
+    if plant.rows + sum(plant.open_internal) >= judge.shortest_head:
         return None
     most = _RULES.stepped // count_of(records)
     most = min(max(most, _RULES.fewest_steps), _RULES.steps)

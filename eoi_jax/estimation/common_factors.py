@@ -219,10 +219,11 @@ def _rates(plant: Plant, probe: tuple[Any, ...], theta: Any, z: Any) -> Any:
 
 
 def _start_rows(plant: Plant, theta: Any) -> Any:
-    """Rows of the start of the internal states, which changes with them."""
+    """Rows of the start of the internal states, which changes with them, if it is not free."""
     by_theta = jax.jacfwd(plant.internal_start)(theta)
     z = plant.internal_start(theta)
-    return jnp.concatenate([by_theta, -jnp.diag(z), -jnp.eye(len(z))], axis=1)
+    rows = jnp.concatenate([by_theta, -jnp.diag(z), -jnp.eye(len(z))], axis=1)
+    return rows[~plant.free_internal]
 
 
 def _actuator_rows(plant: Plant, theta: Float[np.ndarray, " np"]) -> Float[np.ndarray, "rows _"]:

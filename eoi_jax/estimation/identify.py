@@ -33,6 +33,7 @@ from eoi_jax.estimation.defaults import (
     short_record_notes,
 )
 from eoi_jax.estimation.engines.single import OnePass, single_pass
+from eoi_jax.estimation.free_starts import pass_start_notes, settled_starts
 from eoi_jax.estimation.hold import decided, geometric_mean
 from eoi_jax.estimation.instrumental_variables import (
     InstrumentalEstimate,
@@ -297,6 +298,7 @@ def estimate(
     settings: SignalSettings = SignalSettings(),
     forgetting: float | None = None,
     course: Plant | None = None,
+    z_start: Float[np.ndarray, "records nz _"] | None = None,
 ) -> Identification:
     """`identify` on prepared records, which several models of the same outputs may share.
 
@@ -312,6 +314,8 @@ def estimate(
         settings: of the signals that are stored.
         forgetting: λ of the parameters over time; None: without these.
         course: model by which outputs move between the samples; None: `plant`, then the estimate.
+        z_start: as of `Steps`. None: free starts are estimated first, as parameters beside those of
+            the model.
     """
     stated = observer
     prepared = prepared.interpolated_by(course or plant)
@@ -325,20 +329,18 @@ def estimate(
     check_common_samples(plant, resampled, prepared.inputs)
     if transient is None:
         transient = default_transient(prepared.records, lowpass, explicit)
+    if z_start is None:
+        z_start = settled_starts(
+            plant, prepared.fine, passes, lambda model, count, starts: estimate(
+                model, prepared, observer, count, transient, course=plant, z_start=starts).plant,
+        )  # fmt: skip
     steps = prepare_steps(
-        plant,
-        resampled,
-        prepared.inputs,
-        len(np.atleast_2d(np.asarray(observer.kernel))[0]),
-        transient,
-        lowpass.memory,
-        prepared.velocity_noise,
-        explicit,
-        TAPER / lowpass.cutoff,
-        substeps=prepared.substeps,
-    )
+        plant, resampled, prepared.inputs, len(np.atleast_2d(np.asarray(observer.kernel))[0]),
+        transient, lowpass.memory, prepared.velocity_noise, explicit, TAPER / lowpass.cutoff,
+        substeps=prepared.substeps, z_start=z_start,
+    )  # fmt: skip
     filters = _stack_filters([lowpass.discretise(record.sample_period) for record in resampled])
-    notes = record_notes(prepared.records)
+    notes = [*record_notes(prepared.records), *pass_start_notes(plant, prepared.records, z_start)]
     notes += short_record_notes(prepared.records, lowpass.cutoff, _NOT_USED_FOR)
     run = single_pass(plant, observer, filters, steps)
     again = course is None and passes > 1 and prepared.follows(plant)

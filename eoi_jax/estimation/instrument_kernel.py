@@ -151,7 +151,8 @@ def run_pairs(
     outputs = ((steps.y, simulated.y), (steps.y_next, simulated.y_next))
     y, y_next = (np.stack([np.asarray(array) for array in arrays], axis=2) for arrays in outputs)
     pair_rows = _PairRows(jax.tree.map(np.asarray, steps), slope, y, y_next, previous_direction)
-    carry = _initial_carry(pair, y[:, 0], y_next[:, 0], pair_rows.steps.sample_period)
+    begin = y[:, 0], y_next[:, 0], pair_rows.steps.sample_period, pair_rows.steps.z_start
+    carry = _initial_carry(pair, *begin)
     runs, count = y.shape[:2]
     length, row_parts = -(-count // -(-count * runs // max_steps)), []  # parts of equal length
     for first in range(0, count, length):
@@ -170,8 +171,8 @@ def _driven_inputs(pair: "_Pair", steps: Steps) -> tuple[Array, Array | None]:
 
 
 @jit
-def _initial_carry(pair: "_Pair", y: Any, y_next: Any, h: Any) -> _Carry:
-    return jax.vmap(pair.start)(y, y_next, h)
+def _initial_carry(pair: "_Pair", y: Any, y_next: Any, h: Any, z_start: Any) -> _Carry:
+    return jax.vmap(pair.start)(y, y_next, h, z_start)
 
 
 @jit
@@ -196,9 +197,16 @@ class _Pair(eqx.Module):
         zeros, ones = jnp.zeros_like(self.theta), jnp.ones_like(self.weights)
         return Kernel(self.plant, self.observer, no_filter, self.theta, zeros, ones, "signals")
 
-    def start(self, y: Float[Array, "2 ny"], y_next: Float[Array, "2 ny"], h: Scalar) -> _Carry:
-        """Carry before the first step, from the outputs at its ends."""
-        return self._init(jax.vmap(lambda y, y_next: self.kernel.init(y, y_next, h))(y, y_next))
+    def start(
+        self,
+        y: Float[Array, "2 ny"],
+        y_next: Float[Array, "2 ny"],
+        h: Scalar,
+        z_start: Float[Array, "nz _"] | None,
+    ) -> _Carry:
+        """Carry before the first step, from the outputs at its ends and z there."""
+        init = jax.vmap(lambda y, y_next: self.kernel.init(y, y_next, h, z_start))
+        return self._init(init(y, y_next))
 
     def run_part(self, carry: _Carry, part: _PairRows) -> tuple[_Carry, Rows]:
         """The loop over a part of the steps."""

@@ -372,7 +372,10 @@ def _pair(
     friction = frictional(plant)
     has_friction = any(friction)
     model = directed(plant, friction) if has_friction else plant
-    steps = _measured_steps(model, runs, prepared, observer) if previous is None else previous.steps
+    if previous is None:
+        steps = _measured_steps(plant, model, runs, prepared, observer)
+    else:
+        steps = previous.steps
     shape = np.shape(steps.y)
     y, y_next = np.zeros(shape), np.zeros(shape)
     directions = np.zeros((*shape[:2], shape[2] + 1)) if has_friction else None
@@ -398,7 +401,11 @@ def _pair(
 
 
 def _measured_steps(
-    model: Plant, runs: _SimulatedRuns, prepared: PreparedRecords, observer: AbstractObserver
+    plant: Plant,
+    model: Plant,
+    runs: _SimulatedRuns,
+    prepared: PreparedRecords,
+    observer: AbstractObserver,
 ) -> Steps:
     """The records as steps; those that count in the plain passes count here too."""
     inputs = [step_inputs(record, prepared.explicit) for record in runs.measured]
@@ -407,7 +414,8 @@ def _measured_steps(
     noise = [np.zeros(len(model.outputs))] * len(runs.measured)
     taper = min(_SETTINGS.taper / prepared.lowpass.cutoff, shortest / _SETTINGS.min_memories)
     memory, explicit = prepared.lowpass.memory, prepared.explicit
-    return prepare_steps(model, runs.measured, inputs, taps, 0.0, memory, noise, explicit, taper)
+    return prepare_steps(model, runs.measured, inputs, taps, 0.0, memory, noise, explicit, taper,
+                         undirected=plant)  # fmt: skip
 
 
 def _directions(

@@ -41,6 +41,7 @@ from eoi_jax.compiler.programs import jit
 from eoi_jax.estimation.lowpass import DiscreteFilter
 from eoi_jax.estimation.observers.observer import AbstractObserver, Observation
 from eoi_jax.models.plant import Plant, State
+from eoi_jax.models.start_weights import free_starts
 from eoi_jax.simulation.runge_kutta import middle_of_step, runge_kutta_step
 
 
@@ -59,6 +60,9 @@ class Steps(eqx.Module):
         sample_period: h [s].
         u_start: inputs that hold from the start of each step on, shape (S, nu); None if no output
             has relative degree 0.
+        z_start: internal states at the start of the record at θ = 0, and their derivatives with θ,
+            shape (nz, 1 + np), of which those count that the plant declares as free; None where it
+            declares all.
     """
 
     time: Float[Array | np.ndarray, "*batch S"]
@@ -72,6 +76,12 @@ class Steps(eqx.Module):
     block_end: Bool[Array | np.ndarray, "*batch S"]
     sample_period: Float[Array | np.ndarray, "*batch"]
     u_start: Float[Array | np.ndarray, "*batch S nu"] | None = None
+    z_start: Float[Array | np.ndarray, "*batch nz columns"] | None = None
+
+    @property
+    def begin(self) -> tuple[Any, ...]:
+        """Of one record, what `Kernel.init` begins with: both ends of the first step, z there."""
+        return self.y[0], self.y_next[0], self.z_start
 
 
 class Sums(eqx.Module):
@@ -273,7 +283,8 @@ class Kernel(eqx.Module):
         """
         h = jnp.asarray(steps.sample_period)
         rows = self.rows(steps, emphasis)
-        start = self.init(jnp.asarray(steps.y)[0], jnp.asarray(steps.y_next)[0], h)
+        y, y_next, z_start = jax.tree.map(jnp.asarray, steps.begin)
+        start = self.init(y, y_next, h, z_start)
         last, trace = jax.lax.scan(lambda carry, row: self.step(carry, row, h), start, rows)
         return last.sums, trace
 
@@ -310,18 +321,21 @@ class Kernel(eqx.Module):
             return signals[-1], None
         return self._value_and_jacobian(lambda shift: driven(*signals, self._theta_at(shift)))
 
-    def init(self, y: Output, y_next: Output, h: Scalar) -> Carry:
+    def init(
+        self, y: Output, y_next: Output, h: Scalar, z_start: Float[Array, "nz _"] | None = None
+    ) -> Carry:
         """Carry before the first step.
 
         Args:
             y: outputs at the start of that step.
             y_next: outputs at its end.
             h: sample period [s].
+            z_start: as in `Steps`.
         """
         ny, size, dtype = len(self.plant.outputs), self._directions, self.theta.dtype
         zeros = jnp.zeros
         z, sensitivity = self._value_and_jacobian(
-            lambda shift: self.plant.internal_start(self._theta_at(shift))
+            lambda shift: self._internal_start(self._theta_at(shift), z_start)
         )
         taps = _kernel_weights(self.observer, ny).shape[0]
         zero_output = zeros(ny, dtype)
@@ -349,6 +363,13 @@ class Kernel(eqx.Module):
             sums,
             zeros((self.plant.rows - 1, ny), dtype) if self._keeps_rates else None,
         )
+
+    def _internal_start(self, theta: Theta, z_start: Float[Array, "nz _"] | None) -> Array:
+        z = self.plant.internal_start(theta)
+        if z_start is None:
+            return z
+        free = free_starts(self.plant.internal_initial, z.size)
+        return jnp.where(free, z_start[:, 0] + z_start[:, 1:] @ theta, z)
 
     @property
     def _keeps_rates(self) -> bool:

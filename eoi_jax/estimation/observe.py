@@ -24,6 +24,7 @@ from eoi_jax.estimation.lowpass import DiscreteFilter, LowPass
 from eoi_jax.estimation.observers.observer import AbstractObserver
 from eoi_jax.estimation.preparation import TAPER, check_observer
 from eoi_jax.estimation.regression.index import index
+from eoi_jax.models.free_starts import check_known_starts
 from eoi_jax.models.plant import Plant
 
 Host = Array | np.ndarray
@@ -106,7 +107,7 @@ def observe(
 
     Raises:
         ValueError: a wrong shape, h ≤ 0, an observer that does not match the plant, an unknown name
-            or hold, or a plant whose states change at samples.
+            or hold, or a plant whose states change at samples or start anywhere.
 
     Source:
         Sections 3 and 4 of the paper, eqs. (2), (11), (14) and (19).
@@ -119,6 +120,7 @@ def observe(
     check_kind("lowpass", lowpass, (LowPass, type(None)), "a filter `LowPass(cutoff, order)`")
     rule = "must have no states that change at samples: passes do not follow them"
     check(plant.sampled is None, "plant", rule, plant.name)
+    check_known_starts(plant)
     outputs = _columns("y", y, len(plant.outputs), "an output")
     inputs = _columns("u", u, len(plant.inputs), "an input")
     check(len(outputs) > 2, "y", "must have at least three samples", len(outputs))

@@ -63,6 +63,7 @@ from eoi_jax.estimation.regression.recursive_least_squares import (
     RecursiveState,
 )
 from eoi_jax.models.check_records import check_records
+from eoi_jax.models.free_starts import check_known_starts
 from eoi_jax.models.plant import Plant
 from eoi_jax.simulation.residual_correlation import lagged_products
 
@@ -174,9 +175,9 @@ class OnlineEstimator(eqx.Module):
         alarm: by default none.
 
     Raises:
-        ValueError: a plant whose states change at samples, or with an actuator that is a function
-            of its own, arguments that do not match it, an alarm with another number of outputs or
-            a memory shorter than the sample period.
+        ValueError: a plant whose states change at samples, or start anywhere, or with an actuator
+            that is a function of its own, arguments that do not match it, an alarm with another
+            number of outputs or a memory shorter than the sample period.
     """
 
     plant: Plant
@@ -210,6 +211,7 @@ class OnlineEstimator(eqx.Module):
         check_observer(plant, observer)
         rule = "must have no states that change at samples: observers do not follow them"
         check(plant.sampled is None, "plant", rule, plant.name)
+        check_known_starts(plant)
         h, ny = real(sample_period), len(plant.outputs)
         check(h > 0, "sample_period", "must be positive [s]", sample_period)
         self.plant, self.observer = plant, observer

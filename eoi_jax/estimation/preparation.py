@@ -31,6 +31,7 @@ from eoi_jax.estimation.defaults import (
     default_substeps,
     velocity_noise,
 )
+from eoi_jax.estimation.free_starts import first_starts
 from eoi_jax.estimation.kernel import Steps
 from eoi_jax.estimation.lowpass import LowPass
 from eoi_jax.estimation.observers.observer import AbstractObserver
@@ -278,6 +279,8 @@ def prepare_steps(
     taper: float,
     duration: float | None = None,
     substeps: int = 1,
+    undirected: Plant | None = None,
+    z_start: Float[np.ndarray, "records nz _"] | None = None,
 ) -> Steps:
     """The batch of steps for `run_pass`, padded to the longest record.
 
@@ -293,6 +296,8 @@ def prepare_steps(
         taper: time over which weights rise from zero next to a step that does not count [s].
         duration: of all records of the estimate [s], if these are only part of them.
         substeps: steps per sample; outputs of relative degree 0 count at samples only.
+        undirected: the plant of the records, if `plant` has further inputs.
+        z_start: as of `Steps`; None: by free runs over the first samples, where starts are free.
     """
     length = max(len(record) for record in records) - 1
     enters = entering(plant, records, inputs)
@@ -333,7 +338,8 @@ def prepare_steps(
             target[i, len(values) :] = values[-1]
     periods = np.asarray([record.sample_period for record in records])
     u_start = batch.pop(4) if plant.has_algebraic else None
-    return Steps(*batch, periods, u_start)  # type: ignore[call-arg]
+    z_start = first_starts(undirected or plant, records) if z_start is None else z_start
+    return Steps(*batch, periods, u_start, z_start)  # type: ignore[call-arg]
 
 
 def at_samples(

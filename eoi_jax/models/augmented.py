@@ -139,6 +139,7 @@ def augmented(
     placed: Sequence[Placed],
     values: Mapping[str, float],
     bounds: Mapping[str, tuple[float, float]] | None = None,
+    idle: Mapping[str, float] | None = None,
 ) -> Plant:
     """The plant with effects added.
 
@@ -147,11 +148,12 @@ def augmented(
         placed: the effects at their channels; input effects act in this order.
         values: of the effects' parameters, by their names in the augmented plant.
         bounds: for some of these parameters, in place of the bounds that the effects declare.
+        idle: further parameters by name, which no function of the plant reads.
 
     Returns:
         A plant with the parameters of the model, followed by those of the effects.
     """
-    if not placed:
+    if not placed and not idle:
         return plant
     rule = "must have no states that change at samples for effects to be added"
     check(plant.sampled is None, "plant", rule, plant.name)
@@ -169,6 +171,7 @@ def augmented(
             limits[name] = (bounds or {}).get(name, parameter.bounds(float(values[name])))
             units[name] = unit(plant, placement, parameter.unit)
     added = {name: float(values[name]) for placement in placements for name in placement.names}
+    added |= idle or {}
     moving = states + nz > 0
     everything = [placement.effect for placement in (*added_effects(plant), *placements)]
     cascaded = any(isinstance(effect, AbstractCascade) for effect in everything)

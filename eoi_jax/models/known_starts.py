@@ -1,6 +1,6 @@
 """Where records start: known starts of outputs and their derivatives, and internal states."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -8,6 +8,7 @@ from jaxtyping import Float
 
 from eoi_jax._checks import check, check_choice, check_kind, counted, real
 from eoi_jax.compiler.jax_private import Tracer
+from eoi_jax.models.start_weights import PartlyFree
 
 # By output: its value at the start of a record, then those of its derivatives; None: not known.
 StartItems = tuple[tuple[str, tuple[float | None, ...]], ...]
@@ -16,6 +17,7 @@ _FORM = "Write {output: (value, rate, …)}, with None for what is not known: {'
 
 
 _MOST_SHOWN = 4  # records in a sentence
+_FREED = 'declare it free (`{} = "free"` in `initial`, or None in `internal_initial`)'
 
 
 def checked_starts(
@@ -108,7 +110,7 @@ def internal_start_of(internal: Any, initial: Any) -> Any:
     """Internal states at the start of a record: numbers, or a function of the parameters.
 
     Raises:
-        ValueError: starts without a rate `internal`, or the reverse.
+        ValueError: starts without a rate `internal`, or the reverse, a start that is no number.
     """
     if internal is None:
         check(initial is None, "internal_initial", "must be left out without `internal`", initial)
@@ -120,7 +122,20 @@ def internal_start_of(internal: Any, initial: Any) -> Any:
         "none",
         "Give z at the start of the record, or a function of the parameters.",
     )
-    return initial if callable(initial) else tuple(float(value) for value in initial)
+    if callable(initial):
+        return initial
+    starts = tuple(initial) if isinstance(initial, Iterable) else (initial,)
+    rule = "must hold finite numbers, or None for a start that is estimated of each record"
+    good = all(value is None or bool(np.isfinite(real(value))) for value in starts)
+    check(good and not isinstance(initial, str), "internal_initial", rule, initial)
+    values = tuple(0.0 if value is None else float(value) for value in starts)
+    free = tuple(value is None for value in starts)
+    return PartlyFree(values, free) if any(free) else values
+
+
+def listed(parts: Sequence[str]) -> str:
+    """What holds for each of some records, as far as it can be read."""
+    return "; ".join([*parts[:_MOST_SHOWN], *["…"] * (len(parts) > _MOST_SHOWN)])
 
 
 def contradiction(
@@ -138,12 +153,12 @@ def contradiction(
             empty without them.
     """
     declared = plant.initial
-    states = [(name, row) for name, degree in zip(plant.outputs, plant.degrees, strict=True)
+    rows = [(name, row) for name, degree in zip(plant.outputs, plant.degrees, strict=True)
               for row in range(degree)]  # fmt: skip
     parts = []
     for record, fitting in values:
         fits = []
-        for (name, row), value in zip(states, fitting, strict=True):
+        for (name, row), value in zip(rows, fitting, strict=True):
             start = declared[name][row] if name in declared else None
             if start is not None:
                 derivative = name + "'" * row
@@ -151,9 +166,11 @@ def contradiction(
         fits += internal[len(parts)] if internal else []
         text = ", ".join(f"{name} {value:.3g}, not {start:g}" for name, value, start in fits)
         parts.append(f"{record} {text}")
-    shown = parts[:_MOST_SHOWN] + (["…"] if len(parts) > _MOST_SHOWN else [])
+    ways = ["leave it out"] * bool(plant.start_items)
+    ways += [_FREED.format(states[0][0]) for states in internal[:1] if states]
+    freed = ", or of an internal state ".join(ways)
     return (
         "the known start contradicts the records: free, it would be, by record: "
-        f"{'; '.join(shown)}. It stays as declared; correct it, leave it out, or begin the record "
+        f"{listed(parts)}. It stays as declared; correct it, {freed}, or begin the record "
         "where it holds"
     )

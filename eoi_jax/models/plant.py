@@ -30,7 +30,7 @@ from eoi_jax.models.kinds import checked_kinds, kind_of
 from eoi_jax.models.known_starts import StartItems, checked_starts, internal_start_of, start_table
 from eoi_jax.models.parameters import check_names, limits_of, parameter_type, replaced
 from eoi_jax.models.sampled_states import SampledStates
-from eoi_jax.models.start_weights import open_starts
+from eoi_jax.models.start_weights import free_starts, open_starts
 from eoi_jax.models.state_names import names_state
 from eoi_jax.models.traced_equations import evaluated
 from eoi_jax.models.traced_shapes import traced_shape
@@ -85,7 +85,8 @@ class Plant(eqx.Module):
         inputs, outputs: names.
         internal: ``g(t, x, u, p)`` → dz/dt, shape (nz,), or None.
         internal_initial: z at the start of a record, shape (nz,), or a function of p, so that
-            initial values may be parameters.
+            initial values may be parameters. None in place of a number: that start is free, and
+            estimated of each record by itself, from zero on.
         bounds: ``{name: (lower, upper)}``; estimates stay within them.
         fixed: names of the parameters that keep their nominal values.
         units: ``{name: unit}`` of parameters, inputs and outputs, for tables and figures (of
@@ -138,7 +139,7 @@ class Plant(eqx.Module):
         inputs: Sequence[str] = ("u",),
         outputs: Sequence[str] = ("y",),
         internal: Dynamics | None = None,
-        internal_initial: Sequence[float] | Callable[[Any], Any] | None = None,
+        internal_initial: Sequence[float | None] | Callable[[Any], Any] | None = None,
         bounds: Mapping[str, tuple[float, float]] | None = None,
         fixed: Sequence[str] = (),
         units: Mapping[str, str] | None = None,
@@ -375,19 +376,19 @@ class Plant(eqx.Module):
         return jnp.reshape(jnp.asarray(value, dtype=jnp.result_type(theta)), (-1,))
 
     @property
-    def unknown_internal(self) -> int:
-        """Number of internal states that a run may start with at any value."""
-        return int(np.sum(self.open_internal))
-
-    @property
     def open_internal(self) -> Bool[np.ndarray, " nz"]:
         """Which internal states a run may start with at any value, if it begins within a record."""
         sampled = self.sampled.size if self.sampled else 0
         return open_starts(self.internal_initial, len(self.initial_internal), sampled)
 
     @property
+    def free_internal(self) -> Bool[np.ndarray, " nz"]:
+        """Which internal states are declared as free at the start of a record."""
+        return free_starts(self.internal_initial, len(self.initial_internal))
+
+    @property
     def initial_internal(self) -> Float[np.ndarray, " nz"]:
-        """z at the start of a record, at the plant's own parameters."""
+        """z at the start of a record at the plant's own parameters; of a free one a first guess."""
         if not callable(self.internal_initial):
             return np.asarray(self.internal_initial, dtype=float)
         theta = np.asarray(self.theta, dtype=float)[None]

@@ -1,14 +1,46 @@
-"""How internal states of effects start in free runs, where effects say so.
+"""How internal states start in free runs, where a plant or its effects say so.
 
-A state with the weight one starts anywhere in every run, the next ones by their weights in
-proportion to it. Without a weight (None), a state starts as the plant declares where a run begins
-with its record, else anywhere.
+A start that the plant declares as free is estimated, of each run by itself. A state of an effect
+with the weight one starts anywhere in every run, the next ones by their weights in proportion to
+it. Any other state starts as the plant declares where a run begins with its record, else anywhere.
 """
 
+from dataclasses import dataclass
 from typing import Any
 
+import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Bool, Float, Int
+
+
+@dataclass(frozen=True)
+class PartlyFree:
+    """Internal states at the start of a record, some of them free.
+
+    Attributes:
+        values: of all; of a free one, where its search begins.
+        free: which are estimated, of each record by itself.
+    """
+
+    values: tuple[float, ...]
+    free: tuple[bool, ...]
+
+    def __call__(self, p: Any) -> Any:
+        """Internal states, shape (nz,)."""
+        return jnp.asarray(self.values, jnp.result_type(*p))
+
+
+def free_starts(initial: Any, count: int) -> Bool[np.ndarray, " nz"]:
+    """Which internal states the plant declares as free at the start of a record.
+
+    Args:
+        initial: `Plant.internal_initial`.
+        count: of all internal states; those of effects, the last ones, are not declared.
+    """
+    while hasattr(initial, "base"):  # with effects
+        initial = initial.base
+    declared = getattr(initial, "free", ())
+    return np.asarray([*declared, *[False] * (count - len(declared))], dtype=bool)
 
 
 def start_weights(initial: Any) -> tuple[float | None, ...]:
@@ -28,8 +60,8 @@ def starts_anywhere(initial: Any, count: int) -> Bool[np.ndarray, " nz"]:
         count: of all internal states.
     """
     weights = start_weights(initial)
-    places = np.zeros(count, dtype=bool)
-    places[count - len(weights) :] = [weight is not None for weight in weights]
+    places = free_starts(initial, count)
+    places[count - len(weights) :] |= np.asarray([weight is not None for weight in weights], bool)
     return places
 
 

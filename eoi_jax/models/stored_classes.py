@@ -40,6 +40,7 @@ CLASSES: Mapping[str, str] = {
     "TextDynamics": "models.equations.system",
     "TextInternal": "models.equations.system",
     "TextStart": "models.equations.system",
+    "PartlyFree": "models.start_weights",
     "Placed": "models.augmented",
     "AugmentedDynamics": "models.augmented:_Dynamics",
     "AugmentedInternal": "models.augmented:_Internal",

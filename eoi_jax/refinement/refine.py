@@ -71,7 +71,7 @@ from eoi_jax.refinement.result import Refinement
 from eoi_jax.refinement.searches import SEARCH, in_longer_steps, search_around
 from eoi_jax.refinement.skew import fit_with_skew, mean_error
 from eoi_jax.refinement.spans import Span, spans_of, used_window
-from eoi_jax.refinement.start_check import with_start_check
+from eoi_jax.refinement.start_check import with_free_starts, with_start_check
 from eoi_jax.refinement.windowed import lost_growth, settled, worse
 from eoi_jax.simulation.error_growth import ErrorGrowth
 from eoi_jax.simulation.step_size import RULES, choose_steps, finest_steps
@@ -303,6 +303,7 @@ def _answered(
     shared = notes_on_runs(result)
     as_they_are = partial(_refined, question=replace(single, is_trial=True))
     result = with_start_check(without_runaways(nominal, result, refit, cost), as_they_are)
+    result = with_free_starts(result)
     if not result.status.ok or not held_out:
         return result
     held_out = made_alike(held_out, records, result.records)

@@ -8,8 +8,10 @@ import numpy as np
 from eoi_jax.data.record import Record
 from eoi_jax.estimation.regression.robust_covariance import correlation_time
 from eoi_jax.models.effects.effect import internal_names
+from eoi_jax.models.free_starts import free_start_names, starts_text
 from eoi_jax.models.known_starts import contradiction
 from eoi_jax.models.plant import Plant
+from eoi_jax.models.start_weights import starts_anywhere
 from eoi_jax.refinement.result import Refinement
 from eoi_jax.refinement.spans import spans_of, starts_record
 from eoi_jax.simulation.initial_state import owned
@@ -39,26 +41,52 @@ def with_start_check(
         refit: makes another one from a plant along records, in runs of the same length.
     """
     plant, records = result.plant, result.records
-    begins = [i for i, span in enumerate(spans_of(records, result.window))
-              if starts_record(records, span)]  # fmt: skip
-    known = int(np.sum(np.isfinite(plant.known_start))) + plant.unknown_internal
+    begins = _beginnings(result)
+    known = int(np.sum(np.isfinite(plant.known_start)) + np.sum(_declared(plant)))
     if not known or not begins:
         return result
-    freed = refit(plant, tuple(record.continuing() for record in records))
+    continuing = tuple(record.continuing() for record in records)
+    freed = refit(plant, continuing)
     if not freed.status.fits or freed.window != result.window:
         return result
     independent = min(_independent(freed, j) for j in range(len(plant.outputs)))
     if _chance(independent * (result.cost - freed.cost), known * len(begins)) >= _SETTINGS.chance:
         return result
+    # From a wrong start parameters may have gone where a free one does not bring them back.
+    again = refit(result.nominal, continuing)
+    if again.status.fits and again.window == freed.window and again.cost < freed.cost:
+        freed = again
     values = [(freed.starts[i].record, freed.starts[i].y[owned(plant)]) for i in begins]
     internal = [_internal(plant, freed.starts[i].z, result.starts[i].z) for i in begins]
     return replace(result, notes=(*result.notes, contradiction(plant, values, internal)))
 
 
+def with_free_starts(result: Refinement) -> Refinement:
+    """A refinement, with a note on the estimates of starts that the plant leaves open."""
+    if not free_start_names(result.plant):
+        return result
+    begins = _beginnings(result)
+    names = [result.starts[i].record for i in begins]
+    text = starts_text(result.plant, names, [result.starts[i].z for i in begins])
+    return replace(result, notes=(*result.notes, f"free starts of the records: {text}"))
+
+
+def _beginnings(result: Refinement) -> list[int]:
+    """Runs that begin with their record."""
+    spans = spans_of(result.records, result.window)
+    return [i for i, span in enumerate(spans) if starts_record(result.records, span)]
+
+
 def _internal(plant: Plant, free: np.ndarray, declared: np.ndarray) -> list:
-    """Name of each internal state whose start may be any value, what fits it, what is declared."""
+    """Name of each internal state whose start is declared, what fits it, what is declared."""
     states = zip(internal_names(plant), free, declared, strict=True)
-    return [state for state, is_open in zip(states, plant.open_internal, strict=True) if is_open]
+    return [state for state, is_known in zip(states, _declared(plant), strict=True) if is_known]
+
+
+def _declared(plant: Plant) -> np.ndarray:
+    """Which internal states start as the plant declares, and could start elsewhere."""
+    anywhere = starts_anywhere(plant.internal_initial, len(plant.open_internal))
+    return plant.open_internal & ~anywhere
 
 
 def _independent(result: Refinement, output: int) -> float:

@@ -1,12 +1,12 @@
 """Initial states of free runs: least squares of each run over its first samples.
 
 Outputs and their derivatives start from local polynomials, or where the plant knows them; internal
-states from where the model declares them, or in a window from where a run along the whole record
-has them: a few samples say little of a slow store that is not measured (`planned_runs.py` decides
-where they count). Delays and lags of inputs start as if these had always been at their first
-values. Gauss-Newton with halved steps (`simulation/gauss_newton.py`) goes on from there; the
-derivatives of the errors are differences, for one of the simulation would take longer to compile
-than all else.
+states from where the model declares them, if it does, or in a window from where a run along the
+whole record has them: a few samples say little of a slow store that is not measured
+(`planned_runs.py` decides where they count). Delays and lags of inputs start as if these had always
+been at their first values. Gauss-Newton with halved steps (`simulation/gauss_newton.py`) goes on
+from there; the derivatives of the errors are differences, for one of the simulation would take
+longer to compile than all else.
 All runs are simulated side by side.
 """
 
@@ -154,8 +154,11 @@ def window_starts(
     spread = _spread(y, np.zeros(len(y), int) if owners is None else owners)
     pairs = () if past is None else moving_pairs(past)
     first_samples = _Heads(run, heads, y, valid, period, spread, past, fixed, pairs)
-    cost, values = _descend(first_samples, starts, measured)
-    if not np.any(run.plant.open_internal) and past is None:
+    estimated, internal = measured.copy(), slice(int(np.sum(measured)), None)
+    estimated[internal][: len(z)] = run.plant.free_internal
+    cost, values = _descend(first_samples, starts, estimated)
+    decided = not np.any(run.plant.open_internal & ~run.plant.free_internal)
+    if decided and past is None and (carried is None or not np.any(run.plant.open_internal)):
         return values, values
     return _with_internal(first_samples, _Fit(cost, values), starts, measured, carried)
 

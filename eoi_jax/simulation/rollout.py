@@ -10,6 +10,7 @@ from eoi_jax._types import Scalar
 from eoi_jax.compiler.jax_private import Tracer
 from eoi_jax.data.input_holds import TRACED_HOLDS
 from eoi_jax.data.record import Record
+from eoi_jax.models.free_starts import check_no_free_start
 from eoi_jax.models.plant import Plant, State
 from eoi_jax.simulation.integrator import free_run, frictional
 from eoi_jax.simulation.simulate import acted, drive, initial_outputs
@@ -68,6 +69,7 @@ def rollout(
     check(len(inputs) > 1, "u", "must have at least two samples", len(inputs))
     initial, internal = (x0.y, x0.z) if isinstance(x0, State) else (x0, None)
     if internal is None:
+        check_no_free_start(plant, "x0", "Give `State(y, z)` with all internal states.")
         internal = plant.internal_start(values)
     check_shape("x0.z", internal, plant.internal_start(values).shape, "one value an internal state")
     start = State(initial_outputs(plant, initial, jnp), jnp.asarray(internal, float))

@@ -13,7 +13,15 @@ from jax import lax
 from jaxtyping import Array, Float
 from numpy.typing import ArrayLike
 
-from eoi_jax._checks import check, check_choice, check_count, check_kind, check_shape, warn_caller
+from eoi_jax._checks import (
+    check,
+    check_choice,
+    check_count,
+    check_kind,
+    check_shape,
+    counted,
+    warn_caller,
+)
 from eoi_jax._types import Scalar, Theta
 from eoi_jax.compiler.jax_private import Tracer
 from eoi_jax.compiler.jax_setup import check_process
@@ -31,6 +39,8 @@ from eoi_jax.data.input_holds import (
 from eoi_jax.data.record import Record
 from eoi_jax.data.resampling import acting_inputs, inputs_within_steps
 from eoi_jax.models.actuators import are_linear, changed_inputs, have_past, keeps_steps
+from eoi_jax.models.effects.effect import internal_names
+from eoi_jax.models.free_starts import check_no_free_start
 from eoi_jax.models.jacobians import has_sampled_actuator
 from eoi_jax.models.known_starts import start_by_name
 from eoi_jax.models.plant import Plant, State
@@ -86,7 +96,8 @@ def simulate(
 
     Raises:
         ValueError: a wrong shape, an unknown output, a grid that is not uniform, dry friction with
-            the adaptive solver, a trajectory that is not finite (with the first time at which it is
+            the adaptive solver, a start that the plant declares as free and `internal` does not
+            give, a trajectory that is not finite (with the first time at which it is
             not), or numbers that JAX traces, of which `rollout` makes a free run.
 
     Warns:
@@ -492,6 +503,8 @@ def initial_outputs(plant: Plant, initial: Any, xp: Any = np) -> Float[Any, "r n
 def _internal(plant: Plant, internal: ArrayLike | None) -> Float[np.ndarray, " nz"]:
     start = plant.initial_internal
     if internal is None:
+        advice = f"Give {counted(len(start), 'value')}, as {', '.join(internal_names(plant))}."
+        check_no_free_start(plant, "internal", advice)
         return start
     value = np.atleast_1d(np.asarray(internal, dtype=np.float64))
     check_shape("internal", value, start.shape, "one value an internal state")

@@ -69,7 +69,8 @@ def sufficient_start(run: Run, record: Record, head: int) -> int:
     reach = min(len(part), _SETTINGS.reach * head)
     candidates = _doubled(head, _SETTINGS.share * min(len(part), reach))
     runs = plan(part, head, None, run.plant.rows)
-    if len(candidates) < 2 or not runs.starts or not owned(run.plant)[0].size:
+    unknown = owned(run.plant)[0].size + np.sum(run.plant.free_internal)
+    if len(candidates) < 2 or not runs.starts or not unknown:
         return head
     begin = runs.starts[0]
     part = part[begin : min(begin + reach, len(part))]
@@ -132,11 +133,15 @@ def _slopes(
     spread = np.where(spread > 0, spread, 1.0)
     rows, columns = owned(run.plant)
     steps = _SETTINGS.difference * spread[columns] / (part.sample_period * head) ** rows
-    moved = np.repeat(begun.values, len(steps) + 1, axis=0)
     fixed = known_starts(run.plant, np.asarray([begins]), begun.values.shape)
     if fixed is not None:  # without an error
         steps = np.where(np.isfinite(fixed[0, : len(steps)]), 0.0, steps)
-    moved[1:, : len(steps)] += np.diag(steps)
+    (free,) = np.nonzero(run.plant.free_internal)
+    places = np.concatenate([np.arange(len(steps)), len(steps) + free])
+    size = np.abs(begun.values[0, places[len(steps) :]])
+    steps = np.concatenate([steps, _SETTINGS.difference * np.where(size > 0, size, 1.0)])
+    moved = np.repeat(begun.values, len(steps) + 1, axis=0)
+    moved[1 + np.arange(len(steps)), places] += steps
     driving = _lanes(begun.drive, len(moved), len(begun.drive.time))
     outputs = outputs_of(run.plant, driving, states_of(run, moved), run.friction)
     with np.errstate(all="ignore"):  # of a run that diverges

@@ -376,12 +376,12 @@ def _head(plant: Plant, record: Record, initial_samples: int | None) -> int:
 def _check_record(
     plant: Plant, record: Record, initial_samples: int | None, window: float | None
 ) -> None:
-    unknowns = plant.rows + plant.unknown_internal
+    unknowns = plant.rows + int(np.sum(plant.open_internal))
     if initial_samples is not None:
         check_count("initial_samples", initial_samples)
     head = _head(plant, record, initial_samples)
     rule = f"must exceed {unknowns}, the number of initial values of an output"
-    if plant.unknown_internal:
+    if np.any(plant.open_internal):
         rule += " and of internal states, whose declared values are checked there too"
     check(head > unknowns, "initial_samples", rule, head)
     unscored = max(head, transient_samples(record))

@@ -133,3 +133,12 @@ def test_a_config_simulates_such_an_output_from_the_start_of_the_model(tmp_path)
     with pytest.raises(ValueError, match=r"`simulate.initial.voltage` must have at most 0 .*these "
                        r"start in \[model\]"):  # fmt: skip
         build.records(config, plant, tmp_path)
+    (tmp_path / "run.toml").write_text(simulated.replace("soc = 0.8", 'soc = "free"'))
+    config = configs.load(tmp_path / "run.toml")
+    free = build.plant(config, tmp_path)
+    with pytest.raises(ValueError, match=r"`simulate.initial` must give soc.*\] soc = VALUE"):
+        build.records(config, free, tmp_path)
+    given = (tmp_path / "run.toml").read_text() + "[simulate.initial]\nsoc = 0.8\n"
+    (tmp_path / "run.toml").write_text(given)
+    (again,) = build.records(configs.load(tmp_path / "run.toml"), free, tmp_path)
+    np.testing.assert_array_equal(again.outputs, record.outputs)

@@ -181,6 +181,26 @@ def test_a_prediction_starts_from_the_first_measured_outputs(folder, tmp_path, n
     assert found["notes"] == []
 
 
+def test_a_free_start_of_an_internal_state_must_be_given(folder, tmp_path):
+    planned(folder, tmp_path / "plan.csv")
+    plant = eoi.plant_from_text(
+        {"level": "store - level + flow", "store": "-c*store"}, {"c": 0.1}, inputs=["flow"],
+        outputs=["level"], initial={"level": 0.2, "store": "free"},
+    )  # fmt: skip
+    stored(folder, "free", plant)
+    where = "predict", "runs/free", tmp_path / "plan.csv", "--output", tmp_path, "--initial"
+    for word, message in (("level=0.1", "must give store"), ("store=1,2", "must be NAME=VALUE")):
+        refused = called(*where, word)
+        assert refused.exit_code != 0
+        assert message in " ".join(refused.output.split())
+    assert answer(*where, "store=0.5")["notes"] == ["--initial gives the start of store 0.5"]
+    written = np.loadtxt(tmp_path / "free.predict" / "prediction.csv", delimiter=",", skiprows=1)
+    time = written[:, 0]
+    hold = eoi.load("runs/good/result.npz").records[0].holds
+    expected = eoi.simulate(plant, time, written[:, 1], internal=[0.5], hold=hold)
+    assert abs(written[10, 2] - expected.outputs[10, 0]) < 0.05
+
+
 def test_a_prediction_starts_as_the_model_declares_and_notes_say_what_is_assumed(folder, tmp_path):
     planned(folder, tmp_path / "plan.csv")
     plant = eoi.plant_from_text(

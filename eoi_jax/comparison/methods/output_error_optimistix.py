@@ -105,6 +105,8 @@ def _not_covered(plant: Plant, records: Sequence[Record]) -> str:
         return "internal states that change at samples only are not simulated"
     if start_weights(plant.internal_initial):
         return "internal states of effects that start at any value are not estimated"
+    if np.any(plant.free_internal):
+        return "free starts of internal states are not estimated"
     for record in records:
         if record.hold not in TRACED_HOLDS:
             return f"`rollout` holds all inputs zero or linear, and {record.name} has {record.hold}"

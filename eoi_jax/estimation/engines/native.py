@@ -79,8 +79,8 @@ class Native(AbstractEngine):
         loop, columns = pass_of(plant, lanes, lowpass, steps, store)
         code, dtype = compiled_loop(loop, columns), loop.dtype
         lane = numbers(lanes.without_emphasis(), dtype, skip=1).reshape(len(lanes), -1)
-        ends = np.asarray(steps.y)[0], np.asarray(steps.y_next)[0]
-        run = code.begin(lane.T, numbers((plant, lowpass, steps.sample_period, *ends), dtype))
+        fixed = numbers((plant, lowpass, steps.sample_period, *steps.begin), dtype)
+        run = code.begin(lane.T, fixed)
         run.advance(rows_of(steps, dtype), _flags(lanes, steps, store), self.threads or cores())
         return run.result()
 
@@ -106,7 +106,9 @@ def pass_of(
     with_emphasis = lanes.emphasis is not None
     step = jax.tree.unflatten(_step_structure(with_emphasis, _at_starts(steps)), shapes)
     lane = shapes_of(lanes.without_emphasis(), dtype, skip=1)
-    loop = Pass(shapes_of(plant, dtype), lane, shapes_of(lowpass, dtype), step, store, dtype)
+    z_start = shapes_of(steps.z_start, dtype)
+    filtered = shapes_of(lowpass, dtype)
+    loop = Pass(shapes_of(plant, dtype), lane, filtered, step, store, dtype, z_start)
     return loop, sum(int(np.prod(column.shape[1:])) for column in columns)
 
 

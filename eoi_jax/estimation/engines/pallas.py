@@ -286,7 +286,8 @@ def _launch(
     """Both loops, that of the lanes over the first `used` tiles."""
     program, dtype, count = _program(traced_pass), traced_pass.dtype, len(lanes)
     shared_rows, driven = _rows(plant, lanes, lowpass, steps, traced_pass.store)
-    all_lanes = (plant, lowpass, steps.sample_period, shared_rows.y[0], shared_rows.y_next[0])
+    begin = shared_rows.y[0], shared_rows.y_next[0], steps.z_start
+    all_lanes = (plant, lowpass, steps.sample_period, *begin)
     inputs = {
         "fixed": _columns(all_lanes, 0, dtype),
         "lane": _columns(lanes.without_emphasis(), 1, dtype).T,

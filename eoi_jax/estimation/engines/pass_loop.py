@@ -25,6 +25,7 @@ class Pass(AbstractLoop):
         step: one step of the record.
         store: as in `run_pass`.
         dtype: of all numbers.
+        z_start: of `Steps`.
     """
 
     plant: Plant
@@ -33,13 +34,14 @@ class Pass(AbstractLoop):
     step: Step
     store: str
     dtype: np.dtype
+    z_start: Any = None
     flags: ClassVar[tuple[str, ...]] = ("restart", "block_end")
 
     @property
     def fixed(self) -> tuple:
-        """What all lanes and steps share: plant, F, h, and both ends of the first step."""
+        """What all lanes and steps share: plant, F, h, and `Steps.begin`."""
         scalar = jax.ShapeDtypeStruct((), self.dtype)
-        return self.plant, self.lowpass, scalar, self.step.y, self.step.y_next
+        return self.plant, self.lowpass, scalar, self.step.y, self.step.y_next, self.z_start
 
     @property
     def by_block(self) -> bool:
@@ -48,12 +50,12 @@ class Pass(AbstractLoop):
 
     def begin(self, lane: Lanes, fixed: tuple) -> Carry:
         """Before the first step."""
-        plant, lowpass, h, y, y_next = fixed
-        return lane.kernel(plant, lowpass, self.store).init(y, y_next, h)
+        plant, lowpass, h, y, y_next, z_start = fixed
+        return lane.kernel(plant, lowpass, self.store).init(y, y_next, h, z_start)
 
     def advance(self, lane: Lanes, fixed: tuple, carry: Carry, row: Step) -> tuple[Carry, Any]:
         """One step, and the signals of a trace where the pass stores them."""
-        plant, lowpass, h, _, _ = fixed
+        plant, lowpass, h, *_ = fixed
         return lane.kernel(plant, lowpass, self.store).step(carry, row, h)
 
     def result(self, carry: Carry) -> Any:

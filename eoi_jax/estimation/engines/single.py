@@ -76,8 +76,9 @@ def single_pass(
         lane = _lane(observer, np.asarray(plant.theta), len(plant.outputs), dtype)
         lanes, columns = pass_of(plant, lane, records[0][1], records[0][0], "signals")
         loop = _SinglePass(
-            lanes.plant, lanes.lowpass, lanes.lane.observer, lanes.lane.theta, lanes.step, dtype
-        )
+            lanes.plant, lanes.lowpass, lanes.lane.observer, lanes.lane.theta, lanes.step, dtype,
+            lanes.z_start,
+        )  # fmt: skip
         return compiled_loop(loop, columns, len(plant.names), True)
 
     try:
@@ -116,21 +117,23 @@ class _SinglePass(AbstractLoop):
     lane: Any
     step: Step
     dtype: np.dtype
+    z_start: Any
 
     @property
     def fixed(self) -> tuple:
-        """What all steps share: plant, F, gains, θ, h, and both ends of the first step."""
-        scalar, step = jax.ShapeDtypeStruct((), self.dtype), self.step
-        return self.plant, self.lowpass, self.observer, self.lane, scalar, step.y, step.y_next
+        """What all steps share: plant, F, gains, θ, h, and `Steps.begin`."""
+        begin = self.step.y, self.step.y_next, self.z_start
+        scalar = jax.ShapeDtypeStruct((), self.dtype)
+        return self.plant, self.lowpass, self.observer, self.lane, scalar, *begin
 
     def begin(self, lane: Any, fixed: tuple) -> Carry:
         """Before the first step."""
-        *_, h, y, y_next = fixed
-        return self._kernel(lane, fixed).init(y, y_next, h)
+        *_, h, y, y_next, z_start = fixed
+        return self._kernel(lane, fixed).init(y, y_next, h, z_start)
 
     def advance(self, lane: Any, fixed: tuple, carry: Carry, row: Step) -> tuple[Carry, Trace]:
         """One step, and its part of a trace."""
-        *_, h, _, _ = fixed
+        *_, h, _, _, _ = fixed
         return self._kernel(lane, fixed).step(carry, row, h)
 
     def _kernel(self, lane: Any, fixed: tuple) -> Kernel:
@@ -156,8 +159,8 @@ class _Job:
         steps: Steps,
         lowpass: DiscreteFilter,
     ):
-        ends = np.asarray(steps.y)[0], np.asarray(steps.y_next)[0]
-        fixed = numbers((plant, lowpass, observer, theta, steps.sample_period, *ends), code.dtype)
+        shared = plant, lowpass, observer, theta, steps.sample_period, *steps.begin
+        fixed = numbers(shared, code.dtype)
         # A comparison with NaN is false: what the loop makes of one may look like a number.
         self._spoilt = bool(np.any(np.isnan(numbers((observer, theta), code.dtype))))
         self._run = code.begin(np.eye(len(theta), dtype=code.dtype), fixed)

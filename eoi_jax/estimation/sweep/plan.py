@@ -26,6 +26,7 @@ from eoi_jax.estimation.observers.gain_sets import GainSets, gain_sets
 from eoi_jax.estimation.preparation import check_observer, check_preparation, starting_points
 from eoi_jax.estimation.sweep.source import Choices
 from eoi_jax.models.check_records import check_records
+from eoi_jax.models.free_starts import check_known_starts
 from eoi_jax.models.plant import Plant, State
 
 DIMENSIONS = ("record", "lowpass", "observer", "start", "resample")
@@ -236,6 +237,7 @@ def make_plan(
     }
     settings = replace(settings, **counts)
     check_choice("precision", settings.precision, PRECISIONS)
+    check_known_starts(plant)
     check_preparation(choices.transient, choices.substeps, choices.smoothing)
     filters = _filters(lowpass)
     groups = None if observers is None else gain_sets(observers, len(plant.outputs))

@@ -45,7 +45,8 @@ class Equations:
     Attributes:
         derivatives: by state.
         definitions: by name.
-        initial: of internal states, in the parameters; of outputs and their rates, numbers.
+        initial: of internal states, in the parameters, or "free"; of outputs and their rates,
+            numbers.
         outputs, inputs, parameters: names.
         output: expressions of outputs that are no states, by name.
     """
@@ -137,14 +138,34 @@ class Equations:
 
     @cached_property
     def starts(self) -> dict[str, Expression]:
-        """Trees of the initial values."""
+        """Trees of the initial values; of a free one that with which a search begins."""
         parameters: dict[str, Expression] = {
             name: Symbol(name, parameter=True) for name in self.parameters
         }
-        texts = dict(self.initial)
+        texts = {**dict(self.initial), **self.guesses}
         return {
             name: parse(texts[name], parameters, f"model.initial.{name}") for name in self.states
         }
+
+    @cached_property
+    def guesses(self) -> dict[str, str]:
+        """By state whose start is free: the number with which a search for it begins, as text.
+
+        Raises:
+            ValueError: a guess that is no number, or of an output, which the records show.
+        """
+        guesses = {}
+        for name, text in self.initial:
+            word, field = text.strip(), f"model.initial.{name}"
+            if word == "free" and word not in self.parameters:
+                guesses[name] = "0.0"
+            elif word.startswith("free("):
+                guesses[name] = word[5:].removesuffix(")")
+                rule = "must be free without a number: what a record shows begins as it does"
+                check(name in self.states, field, rule, f'"{text}"', f'Write {name} = "free".')
+                rule = "must have a number in brackets, with which a search for the start begins"
+                _number(name, text, guesses[name], rule, 'For example "free(0.5)", or "free".')
+        return guesses
 
     @cached_property
     def known_starts(self) -> dict[str, tuple[float | None, ...]]:
@@ -154,8 +175,13 @@ class Equations:
             ValueError: a start that is no number.
         """
         texts, starts = dict(self.initial), {}
+        for name in self.guesses:
+            texts.pop(name)
         for output, chain in self.chains.items():
-            values = tuple(_number(name, texts[name]) if name in texts else None for name in chain)
+            values = tuple(
+                _number(name, texts[name], texts[name], _KNOWN, _UNKNOWN) if name in texts else None
+                for name in chain
+            )
             if any(value is not None for value in values):
                 starts[output] = values
         return starts
@@ -260,7 +286,8 @@ class Equations:
         self._check_twins(texts)
         starts = dict(self.initial)
         for name in self.states:
-            advice = "Give its value at the start of a record."
+            advice = "Give its value at the start of a record, or "
+            advice += f'{name} = "free" to have it estimated, of each record by itself.'
             check(name in starts, "model.initial", f"must have the internal state {name}",
                   ", ".join(starts) or "nothing", advice)  # fmt: skip
         for name in starts:
@@ -349,6 +376,11 @@ class TextStart:
 
     equations: Equations
 
+    @property
+    def free(self) -> tuple[bool, ...]:
+        """Which of them are estimated, of each record by itself."""
+        return tuple(name in self.equations.guesses for name in self.equations.states)
+
     def __call__(self, p: Any) -> Any:
         """Internal states, shape (nz,)."""
         names = self.equations.parameters
@@ -365,15 +397,17 @@ def _stacked(trees: Iterable[Expression], values: Mapping[Symbol, Any], dtype: A
 # -- trees ------------------------------------------------------------------------------------
 
 
-def _number(name: str, text: str) -> float:
-    """The known start of an output or of its rate."""
-    uses = words(text) - {"pi"}
-    advice = "Leave it out to have it estimated, of each record by itself. A start that parameters "
-    advice += (
-        "give, as a dose in a volume, is one of an internal state, which `[model.output]` shows."
-    )
-    rule = "must be a number: the start of an output or of its rate is known or not"
-    number = np.nan if uses else float(value_of(parse(text, {}, f"model.initial.{name}"), {}, np))
+_KNOWN = "must be a number: the start of an output or of its rate is known or not"
+_UNKNOWN = (
+    "Leave it out to have it estimated, of each record by itself. A start that parameters give, as "
+    "a dose in a volume, is one of an internal state, which `[model.output]` shows."
+)
+
+
+def _number(name: str, text: str, part: str, rule: str, advice: str) -> float:
+    """The number in a part of a start as text."""
+    uses = words(part) - {"pi"} or not part.strip()
+    number = np.nan if uses else float(value_of(parse(part, {}, f"model.initial.{name}"), {}, np))
     check(bool(np.isfinite(number)), f"model.initial.{name}", rule, f'"{text}"', advice)
     return number
 

@@ -7,7 +7,7 @@ from typing import Any
 import msgspec
 import numpy as np
 
-from eoi_jax._checks import check, check_choice
+from eoi_jax._checks import check, check_choice, real
 from eoi_jax._schema import struct
 from eoi_jax.models.augmented import Placed, acting
 from eoi_jax.models.effects import ActuatorLag, InputDelay
@@ -45,7 +45,7 @@ def plant_from_text(
     *,
     output: Mapping[str, str] | None = None,
     definitions: Mapping[str, str] | None = None,
-    initial: Mapping[str, float | str] | None = None,
+    initial: Mapping[str, float | str | None] | None = None,
     bounds: Mapping[str, tuple[float | None, float | None]] | None = None,
     fixed: Sequence[str] = (),
     units: Mapping[str, str] | None = None,
@@ -82,8 +82,9 @@ def plant_from_text(
         output: equations of outputs that are functions of the states [units of the outputs].
         definitions: parts of equations by name, in any order.
         initial: at the start of a record: internal states, a number or a text in the parameters
-            [their units]; outputs and their rates where they are known, a number: ``{"rate": 0.0}``
-            is released from rest, as of `Plant`.
+            [their units], or None or ``"free"``: estimated of each record by itself, from zero on,
+            or from 0.8 on by ``"free(0.8)"``; outputs and their rates where they are known, a
+            number: ``{"rate": 0.0}`` is released from rest, as of `Plant`.
         bounds: ``{name: (lower, upper)}`` of parameters; None for no bound.
         fixed: parameters that keep their nominal value.
         units: ``{name: unit}`` of parameters, inputs, outputs and states.
@@ -101,7 +102,7 @@ def plant_from_text(
             definition or internal state that is not used, and what `Plant` objects to.
     """
     derivatives, outputs = dict(derivatives), tuple(outputs)
-    starts = {key: _text(value) for key, value in (initial or {}).items()}
+    starts = {key: _text(key, value) for key, value in (initial or {}).items()}
     parts, formulas = dict(definitions or {}), dict(output or {})
     for key in outputs:
         if key in parts and key not in derivatives and key not in formulas:
@@ -141,8 +142,12 @@ def plant_from_text(
     )
 
 
-def _text(value: float | str) -> str:
-    return value if isinstance(value, str) else repr(float(value))
+def _text(name: str, value: float | str | None) -> str:
+    if value is None or isinstance(value, str):
+        return "free" if value is None else value
+    rule = "must be a number, a text in the parameters, or None where it is free"
+    check(not np.isnan(real(value)), f"model.initial.{name}", rule, value)
+    return repr(float(value))
 
 
 def _limits(pair: tuple[float | None, float | None]) -> tuple[float, float]:

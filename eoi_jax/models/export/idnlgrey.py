@@ -122,8 +122,8 @@ def _parameter_lines(plant: Plant, model: Program) -> list[str]:
 
 
 def _state_lines(model: Program) -> list[str]:
-    """Known starts are fixed; others begin where the first record does."""
-    starts = {**model.measured_starts, **model.start_values}
+    """Known starts are fixed; others begin where the first record does, free ones at a guess."""
+    starts = {**model.free_starts, **model.measured_starts, **model.start_values}
     rows = [
         (
             _quoted(variable.name),

@@ -184,6 +184,8 @@ def _unit(unit: str) -> str:
 def _start(model: Program, symbol: Symbol) -> str:
     if symbol in model.measured_starts:
         return f"the first record begins at {model.measured_starts[symbol]!r}"
+    if symbol in model.free_starts:
+        return f"start free, set it: {model.free_starts[symbol]!r} is a guess"
     if symbol not in model.start_values:
         return ""
     start = f"starts at {model.start_values[symbol]!r}"

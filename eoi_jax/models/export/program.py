@@ -69,6 +69,7 @@ class Program:
         arguments: what the formulas depend on besides states, inputs and parameters.
         estimated_starts: internal states that free runs start elsewhere where a record shows it.
         measured_starts: outputs without a known start, where the first record begins.
+        free_starts: internal states without one, and where a search for it begins.
     """
 
     name: str
@@ -89,6 +90,7 @@ class Program:
     arguments: tuple[Symbol, ...] = (Symbol("t"),)
     estimated_starts: tuple[Symbol, ...] = ()
     measured_starts: Mapping[Symbol, float] = field(default_factory=dict)
+    free_starts: Mapping[Symbol, float] = field(default_factory=dict)
 
     @property
     def of_outputs(self) -> "Program":
@@ -153,23 +155,25 @@ def program(plant: Plant, *, lags_as_states: bool = True) -> Program:
         note = f"{source} behind its lag; starts at the first value of {source}"
         states.append(Variable(Symbol(name), name, plant.units.get(source, ""), note))
         rates.append(node)
-    free = unused_names((*plant.names, *plant.inputs, *(variable.name for variable in states)))
-    trees, definitions = shared_formulas(rates, free)
+    unused = unused_names((*plant.names, *plant.inputs, *(variable.name for variable in states)))
+    trees, definitions = shared_formulas(rates, unused)
     algebraic = [j for j, degree in enumerate(plant.degrees) if degree == 0]
-    output_trees, output_definitions = shared_formulas([f[j] for j in algebraic], free)
+    output_trees, output_definitions = shared_formulas([f[j] for j in algebraic], unused)
     names = [Symbol(name) for name in internal_names(plant)]
     strengths = {
         strength.parameter: strength.text(plant.parameters[strength.parameter])
         for strength in input_strengths(plant)
     }
-    values = plant.initial_internal.tolist()
+    values = dict(zip(names, plant.initial_internal.tolist(), strict=True))
+    free = {name: values.pop(name) for name, is_free in
+            zip(names, plant.free_internal, strict=True) if is_free}  # fmt: skip
     dry = zip(plant.outputs, velocity_rows(plant.degrees), plant.dry_friction, strict=True)
     return Program(
         plant.name,
         tuple(states),
         tuple(trees),
         dict(zip(names, plain_formulas(start), strict=True)),
-        {**dict(zip(names, values, strict=True)), **known_starts(plant)},
+        {**values, **known_starts(plant)},
         tuple(_variable(plant, Symbol(name), name) for name in plant.inputs),
         tuple(
             (_variable(plant, Symbol(name, parameter=True), name, strengths.get(name, "")), value)
@@ -186,6 +190,7 @@ def program(plant: Plant, *, lags_as_states: bool = True) -> Program:
         tuple(output_definitions),
         estimated_starts=tuple(name for name, is_open in
                                zip(names, plant.open_internal, strict=True) if is_open),
+        free_starts=free,
     )  # fmt: skip
 
 

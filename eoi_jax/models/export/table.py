@@ -98,6 +98,7 @@ def _written(plant: Plant, model: Program) -> ModelTable:
         definitions={names[symbol]: written(tree, notation) for symbol, tree in definitions},
         initial={
             **{names[symbol]: written(tree, notation) for symbol, tree in model.starts.items()},
+            **{names[symbol]: f"free({value!r})" for symbol, value in model.free_starts.items()},
             **{names[symbol]: value for symbol, value in known_starts(plant).items()},
         },
         bounds={safe[name]: pair for name, pair in _bounds(plant).items()},
