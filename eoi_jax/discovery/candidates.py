@@ -218,7 +218,7 @@ def _term_rows(
                     _thinned_term(effect, rows, *batch, degree, record, k)
                     for batch in _batches(shapes, z)
                 ]
-                parts.append(record.rows(np.concatenate(terms)))
+                parts.append(record.rows(np.concatenate(terms), k))
             else:
                 parts.append(np.zeros((len(shapes), len(effect.gains), len(record.omega))))
     return np.moveaxis(np.concatenate(parts, axis=-1), 1, 2)

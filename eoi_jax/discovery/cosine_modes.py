@@ -43,6 +43,7 @@ from eoi_jax.estimation.preparation import entering
 from eoi_jax.estimation.within_samples import resampled
 from eoi_jax.models.jacobians import Values, internal_response, state_slopes
 from eoi_jax.models.plant import Plant, State
+from eoi_jax.models.start_weights import free_starts
 from eoi_jax.simulation.runge_kutta import middle_of_step, runge_kutta_step
 
 _FINE = 0.7  # band times step
@@ -75,6 +76,9 @@ class ModalRecord:
         original_period: sample period of the record before sub-steps [s].
         u_start: inputs that hold from the start of each step on, shape (S, nu); None if no output
             has relative degree 0.
+        z_start: internal states at the start, where their start is free; None where none is.
+        start_modes: of each output, what these starts move, orthonormal, shape (modes, directions):
+            `rows` leave it out.
     """
 
     time: Float[np.ndarray, " S"]
@@ -93,6 +97,8 @@ class ModalRecord:
     duration: float
     original_period: float
     u_start: Float[np.ndarray, "S nu"] | None = None
+    z_start: Float[np.ndarray, " nz"] | None = None
+    start_modes: tuple[np.ndarray, ...] = ()
 
     def at(self, degree: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Time, outputs and inputs at which an output of this degree is evaluated, step by step."""
@@ -121,12 +127,19 @@ class ModalRecord:
         held = np.where(is_smooth, 0.5 * (earlier + inputs), inputs)
         return inputs, np.where(self.staircase, held, start)
 
-    def rows(self, thin: Float[np.ndarray, "*batch nodes"]) -> Rows:
-        """Modes of signals that are weighted and thinned, in the unit of y^(r) times √s."""
+    def rows(self, thin: Float[np.ndarray, "*batch nodes"], j: int) -> Rows:
+        """Modes of weighted and thinned signals of output j, in the unit of y^(r) times √s.
+
+        What free starts of internal states can move is left out, of the model and of all that it
+        may lack.
+        """
         from scipy.fft import dct  # only discovery needs it
 
         modes = np.asarray(dct(np.asarray(thin), norm="ortho", axis=-1, workers=-1))
-        return modes[..., self.indices] * np.sqrt(self.sample_period / len(self.kernel))
+        rows = modes[..., self.indices] * np.sqrt(self.sample_period / len(self.kernel))
+        if not self.start_modes:
+            return rows
+        return rows - (rows @ self.start_modes[j]) @ self.start_modes[j].T
 
 
 def motion(record: ModalRecord, j: int, degree: int) -> Rows:
@@ -139,7 +152,7 @@ def motion(record: ModalRecord, j: int, degree: int) -> Rows:
     if degree == 0:
         level = thinned(np.ones_like(record.weight[j]), record.weight[j], record.kernel)
         highest = highest - level * np.sum(highest) / max(np.sum(level), np.finfo(float).tiny)
-    return record.rows(highest)
+    return record.rows(highest, j)
 
 
 def modal_record(plant: Plant, record: Record, band: float) -> ModalRecord:
@@ -390,11 +403,12 @@ def model_along(
     change: tuple,
     thin: tuple,
     h: Float[Values, ""],
+    begin: Float[Values, " nz"] | None = None,
 ) -> tuple[tuple[Array, ...], tuple[Array, ...]]:
     """f and ∂f/∂θ along a record (`time`, `y`), thinned, for several inputs (grid, S, nu).
 
     `change` is that of the `ModalRecord`, `thin` its weights and kernel, `inputs` are those in the
-    middle of each step and those of `ModalRecord.at_starts`.
+    middle of each step and those of `ModalRecord.at_starts`, `begin` is its `z_start`.
 
     Returns:
         For each output f, shape (grid, nodes), and ∂f/∂θ, shape (grid, np, nodes). Derivatives
@@ -405,7 +419,7 @@ def model_along(
     def f(theta: Array, drives: tuple[Array, tuple[Array, Array] | None]) -> tuple[Array, ...]:
         u, at_starts = drives
         u = plant.driven(time, u, theta)
-        z_start, z = _internal(plant, theta, (time, y, u), change, h)
+        z_start, z = _internal(plant, theta, (time, y, u), change, h, begin)
         along = jax.vmap(lambda t, y, z, u: plant.derivative(t, State(y, z), u, theta))
         values = along(time, y, z, u)
         if at_starts is not None:
@@ -435,7 +449,8 @@ def _recursive_along(
 ) -> tuple[Any, Any]:
     """`model_along` of a plant with internal states, or behind an actuator."""
     h, thin = np.asarray(record.sample_period), (record.weight, record.kernel)
-    return model_along(plant, plant.theta, (record.time, record.y), inputs, record.change, thin, h)
+    signals, change = (record.time, record.y), record.change
+    return model_along(plant, plant.theta, signals, inputs, change, thin, h, record.z_start)
 
 
 def _static_along(
@@ -484,10 +499,12 @@ def map_inputs(function: Callable[[Any], Any], inputs: Any, recursive: bool) -> 
 
 
 def _internal(
-    plant: Plant, theta: Array, rows: tuple, change: tuple, h: Any
+    plant: Plant, theta: Array, rows: tuple, change: tuple, h: Any, begin: Any
 ) -> tuple[Array, Array]:
     """Internal states at the start and in the middle of each step, driven by the measurement."""
     start = plant.internal_start(theta)
+    if begin is not None:
+        start = jnp.where(free_starts(plant.internal_initial, start.size), begin, start)
     if plant.internal is None:
         none = jnp.zeros((rows[0].shape[0], 0), theta.dtype)
         return none, none
@@ -508,7 +525,8 @@ def internal_along(plant: Plant, record: ModalRecord) -> Float[np.ndarray, "S nz
     theta = jnp.asarray(plant.theta)
     h = jnp.asarray(record.sample_period)
     u = plant.driven(jnp.asarray(record.time), jnp.asarray(record.u), theta)
-    return np.asarray(_internal(plant, theta, (record.time, record.y, u), record.change, h)[1])
+    rows = record.time, record.y, u
+    return np.asarray(_internal(plant, theta, rows, record.change, h, record.z_start)[1])
 
 
 def integrated(
@@ -567,8 +585,8 @@ def model_rows(
             u = np.where(record.staircase, _as_averaged(u, max(plant.degrees)), u)
         f, phi = (_recursive_along if recursive else _static_along)(plant, record, (u, at_starts))
         for j in range(len(plant.outputs)):
-            errors.append(record.rows(record.highest[j] - np.asarray(f[j])))
-            slopes.append(record.rows(np.asarray(phi[j])))
+            errors.append(record.rows(record.highest[j] - np.asarray(f[j]), j))
+            slopes.append(record.rows(np.asarray(phi[j]), j))
     return np.concatenate(errors, axis=-1), np.moveaxis(np.concatenate(slopes, axis=-1), 1, 2)
 
 

@@ -83,7 +83,7 @@ def _record_lags(
     for j, degree in enumerate(plant.degrees):
         u = record.at(degree)[2][:, channel]
         driven = averaged(degree, push[degree == 0][:, j] * u)
-        driven = record.rows(thinned(driven, record.weight[j], record.kernel))
+        driven = record.rows(thinned(driven, record.weight[j], record.kernel), j)
         rows = slice(j * len(record.omega), (j + 1) * len(record.omega))
         late, early = (
             signal_of_low_modes(record, part / np.sqrt(power[rows]), length)

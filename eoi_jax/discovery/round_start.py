@@ -11,6 +11,7 @@ from jaxtyping import Float
 from eoi_jax.data.record import Record
 from eoi_jax.discovery.candidates import CandidateColumns, Seen, atoms, seen_at
 from eoi_jax.discovery.cosine_modes import ModalRecord, modal_record, model_rows, motion
+from eoi_jax.discovery.free_start_modes import with_free_starts
 from eoi_jax.discovery.lags import Peak, lags, strongest
 from eoi_jax.discovery.noise_spectrum import fitted_power, local_power
 from eoi_jax.discovery.regression import Base, Fit, fitted, settled
@@ -53,7 +54,10 @@ class RoundStart:
         return self._as_modes(self.task.held_out)
 
     def _as_modes(self, records: Sequence[Record]) -> list[ModalRecord]:
-        return [modal_record(self.model, record, self.task.band) for record in records]
+        return [
+            with_free_starts(self.model, modal_record(self.model, record, self.task.band), record)
+            for record in records
+        ]
 
     @cached_property
     def base(self) -> Base:

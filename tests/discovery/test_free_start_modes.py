@@ -1,0 +1,23 @@
+"""What a model lacks whose internal states start anywhere, and starts that do not hold."""
+
+import pytest
+from free_start_cases import NOISE, cell, run
+
+import eoi_jax as eoi
+
+ANYWHERE = {"soc": None, "v1": None}
+
+
+def test_nothing_is_missing_but_the_start():
+    found = eoi.discover(cell(ANYWHERE), [run(1, 0.9), run(2, 0.6)], validation=run(3, 0.5))
+    assert found.status.code == "nothing_missing"
+    assert found.after is not None
+    assert found.after.rmse[0] < 1.1 * NOISE
+
+
+def test_a_drift_is_told_from_the_start():
+    lacking = 2e-5
+    runs = [run(1, 0.9, lacking), run(2, 0.6, lacking)]
+    found = eoi.discover(cell(ANYWHERE), runs, validation=run(3, 0.5, lacking))
+    assert found.effects == ("drift",)
+    assert found.plant.parameters["drift"] == pytest.approx(lacking, rel=0.1)
