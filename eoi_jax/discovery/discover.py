@@ -68,6 +68,7 @@ from eoi_jax.discovery.requested import (
 )
 from eoi_jax.discovery.result import Discovery
 from eoi_jax.discovery.rules import RULES
+from eoi_jax.discovery.stated_starts import with_stated_starts
 from eoi_jax.discovery.task import Task
 from eoi_jax.discovery.unseen_records import with_test_errors
 from eoi_jax.estimation.common_factors import without_common_factors
@@ -229,6 +230,7 @@ class _Search:
         """
         discovery = self._explained(records, held_out)
         discovery = with_poor_fit(partial_where_more_is_left(discovery))
+        discovery = with_stated_starts(discovery, records)
         noted = with_differences(discovery, records)
         if noted.status is not discovery.status:
             return noted

@@ -48,7 +48,7 @@ DRIVE = elastic_drive(b=30.0, c=1.0, k=100.0, d=0.3, r=2.0)
 
 def size(one: ModalRecord, errors: np.ndarray) -> float:
     """Of what the model leaves, over y^(r), both rms."""
-    whole = np.concatenate([one.rows(part) for part in one.highest])
+    whole = np.concatenate([one.rows(part, j) for j, part in enumerate(one.highest)])
     return float(np.sqrt(np.sum(errors**2) / np.sum(whole**2)))
 
 
@@ -224,7 +224,7 @@ def test_smoothing_leaves_less_than_the_floor_of_the_noise_model(share: float):
     plant, several = stretches("mass", share)
     errors = np.stack([model_rows(plant, [one])[0][0] for one in several])
     common = np.sum(errors.mean(axis=0) ** 2) - np.sum(errors.var(axis=0, ddof=1)) / len(errors)
-    whole = np.sum(several[0].rows(several[0].highest[0]) ** 2)
+    whole = np.sum(several[0].rows(several[0].highest[0], 0) ** 2)
     # The estimate has a spread of its own, from the noise that the edges at rests let in.
     assert np.sqrt(max(common, 0.0) / whole) < 2e-3  # the floor
 
@@ -354,7 +354,7 @@ def test_modes_hold_the_power_of_a_signal_within_the_band():
     time = one.time[1:-2] + 0.5 * one.sample_period  # of the second difference
     window = np.sin(np.pi * np.arange(len(time)) / len(time)) ** 2
     signal = np.sin(2.0 * time) + 0.3 * np.cos(3.0 * time)
-    rows = one.rows(np.asarray(thinned(signal, window, one.kernel)))
+    rows = one.rows(np.asarray(thinned(signal, window, one.kernel)), 0)
     power = one.sample_period * np.sum((window * signal) ** 2)
     # The B-splines take (ω spacing)²/3 of the power.
     assert np.sum(rows**2) == pytest.approx(power, rel=(3.0 * 8 * 5e-3) ** 2 / 3.0)

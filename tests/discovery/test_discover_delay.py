@@ -84,7 +84,7 @@ def test_a_delay_gives_back_what_it_took_of_a_lag(delay, lag):
 def test_lags_are_where_a_residual_follows_the_input_and_nowhere_else():
     one = modal_record(DECLARED, measured(1, 60, noise=1e-3), 60.0)
     residual = model_rows(DECLARED.with_parameters(TRUTH), [one])[0][0]
-    local = local_power(one.rows(one.highest[0]))
+    local = local_power(one.rows(one.highest[0], 0))
     power = fitted_power(residual, one.noise[:, 0], local, np.zeros(len(residual), int))
     near = lags(DECLARED, [one], residual, power, 0)
     assert np.min(np.abs(near - 0.3)) < 0.5 / 60.0

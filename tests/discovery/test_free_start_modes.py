@@ -21,3 +21,13 @@ def test_a_drift_is_told_from_the_start():
     found = eoi.discover(cell(ANYWHERE), runs, validation=run(3, 0.5, lacking))
     assert found.effects == ("drift",)
     assert found.plant.parameters["drift"] == pytest.approx(lacking, rel=0.1)
+
+
+def test_a_stated_start_that_does_not_hold_is_said_with_what_fits():
+    stated = {"soc": 0.8, "v1": 0.0}
+    found = eoi.discover(cell(stated), [run(1, 0.9), run(2, 0.6)], validation=run(3, 0.5))
+    assert found.status.code == "unexplained"
+    (note,) = [note for note in found.notes if "known start" in note]
+    assert "from 0.9 soc 0.9" in note
+    assert "from 0.6 soc 0." in note
+    assert "declare it free" in note

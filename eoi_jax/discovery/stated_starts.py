@@ -1,0 +1,53 @@
+"""Starts that the model states, and that do not hold: no effect stands for them."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from eoi_jax.data.holds import with_hold
+from eoi_jax.data.record import Record
+from eoi_jax.discovery.result import Discovery
+from eoi_jax.models.plant import Plant
+from eoi_jax.refinement.refine import refine_once
+from eoi_jax.refinement.result import Refinement
+from eoi_jax.refinement.start_check import with_start_check
+
+
+@dataclass(frozen=True)
+class StatedStartSettings:
+    """When a start takes the place of an explanation."""
+
+    share: float = 0.5  # of the error that is left with free starts: any model gains a little
+
+
+_SETTINGS = StatedStartSettings()
+
+
+def with_stated_starts(discovery: Discovery, records: Sequence[Record]) -> Discovery:
+    """An open answer, with a note where the declared model describes the records from other starts.
+
+    Args:
+        discovery: the answer.
+        records: of the fit, as given.
+    """
+    plant, used = discovery.declared.nominal, discovery.declared.records
+    if discovery.status.code not in ("unexplained", "partial"):
+        return discovery
+    alike = with_hold(records, used[0].logged_hold, used[0].skew)
+    whole = refine_once(plant, alike, None)
+    if not whole.status.fits:
+        return discovery
+    freed: list[Refinement] = []
+
+    def refit(model: Plant, parts: tuple[Record, ...]) -> Refinement:
+        freed.append(refine_once(model, parts, None))
+        return freed[-1]
+
+    notes = with_start_check(whole, refit).notes[len(whole.notes) :]
+    if not notes:
+        return discovery
+    ratios = [fit.rmse / whole.rmse for fit in freed if fit.status.fits]
+    if not min(float(np.max(ratio)) for ratio in ratios) < _SETTINGS.share:
+        return discovery
+    return replace(discovery, notes=(*discovery.notes, *notes))
