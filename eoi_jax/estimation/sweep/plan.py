@@ -237,15 +237,16 @@ def make_plan(
     }
     settings = replace(settings, **counts)
     check_choice("precision", settings.precision, PRECISIONS)
-    check_known_starts(plant)
     check_preparation(choices.transient, choices.substeps, choices.smoothing)
     filters = _filters(lowpass)
     groups = None if observers is None else gain_sets(observers, len(plant.outputs))
     for group in groups or ():
         check_observer(plant, jax.tree.map(lambda leaf: leaf[0], group.observer))
+    record_groups = _groups(plant, records)
+    check_known_starts(plant)
     return Plan(
         plant,
-        _groups(plant, records),
+        record_groups,
         tuple(replace(choices, lowpass=lowpass_choice) for lowpass_choice in filters),
         groups,
         starting_points(plant, starts),
