@@ -328,13 +328,15 @@ def test_a_mistake_in_the_table_names_the_field(tmp_path, old, new, message):
 def test_the_models_of_the_documentation_are_models():
     page = Path(__file__).resolve().parents[3] / "docs" / "equations.md"
     tables = re.findall(r"```toml\n(.*?)```", page.read_text("utf-8"), re.DOTALL)
-    first, second, released, battery, third = tables
+    first, second, released, anywhere, battery, third = tables
     swing = {**tomllib.loads(released)["model"], "outputs": ["angle"]}
     swing["parameters"] = {"a": 1.0, "b": 1.0}
     plant = plant_of(struct(ModelTable, swing, "model"), "swing")
     assert plant.initial == {"angle": (None, 0.0)}
     cell = plant_of(struct(ModelTable, tomllib.loads(battery)["model"], "model"), "cell")
     assert cell.degrees == (0,)
+    runs = tomllib.loads(battery)["model"] | tomllib.loads(anywhere)["model"]
+    assert plant_of(struct(ModelTable, runs, "model"), "cell").free_internal.tolist() == [1, 0]
     pendulum = tomllib.loads(first)["model"]
     assert plant_of(struct(ModelTable, pendulum, "model"), "rig").dry_friction == (True,)
     channels = {"outputs": ["lower"], "inputs": ["pump"]}
