@@ -35,8 +35,8 @@ def with_stated_starts(discovery: Discovery, records: Sequence[Record]) -> Disco
     if discovery.status.code not in ("unexplained", "partial"):
         return discovery
     alike = with_hold(records, used[0].logged_hold, used[0].skew)
-    whole = refine_once(plant, alike, None)
-    if not whole.status.fits:
+    stated = refine_once(plant, alike, None)
+    if not stated.status.fits:
         return discovery
     freed: list[Refinement] = []
 
@@ -44,10 +44,10 @@ def with_stated_starts(discovery: Discovery, records: Sequence[Record]) -> Disco
         freed.append(refine_once(model, parts, None))
         return freed[-1]
 
-    notes = with_start_check(whole, refit).notes[len(whole.notes) :]
+    notes = with_start_check(stated, refit).notes[len(stated.notes) :]
     if not notes:
         return discovery
-    ratios = [fit.rmse / whole.rmse for fit in freed if fit.status.fits]
+    ratios = [fit.rmse / stated.rmse for fit in freed if fit.status.fits]
     if not min(float(np.max(ratio)) for ratio in ratios) < _SETTINGS.share:
         return discovery
     return replace(discovery, notes=(*discovery.notes, *notes))

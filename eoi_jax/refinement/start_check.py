@@ -42,20 +42,20 @@ def with_start_check(
     """
     plant, records = result.plant, result.records
     begins = _beginnings(result)
-    known = int(np.sum(np.isfinite(plant.known_start)) + np.sum(_declared(plant)))
-    if not known or not begins:
+    count = int(np.sum(np.isfinite(plant.known_start)) + np.sum(_declared(plant)))
+    if not count or not begins:
         return result
     continuing = tuple(record.continuing() for record in records)
     freed = refit(plant, continuing)
     if not freed.status.fits or freed.window != result.window:
         return result
     independent = min(_independent(freed, j) for j in range(len(plant.outputs)))
-    if _chance(independent * (result.cost - freed.cost), known * len(begins)) >= _SETTINGS.chance:
+    if _chance(independent * (result.cost - freed.cost), count * len(begins)) >= _SETTINGS.chance:
         return result
     # From a wrong start parameters may have gone where a free one does not bring them back.
-    again = refit(result.nominal, continuing)
-    if again.status.fits and again.window == freed.window and again.cost < freed.cost:
-        freed = again
+    retry = refit(result.nominal, continuing)
+    if retry.status.fits and retry.window == freed.window and retry.cost < freed.cost:
+        freed = retry
     values = [(freed.starts[i].record, freed.starts[i].y[owned(plant)]) for i in begins]
     internal = [_internal(plant, freed.starts[i].z, result.starts[i].z) for i in begins]
     return replace(result, notes=(*result.notes, contradiction(plant, values, internal)))
