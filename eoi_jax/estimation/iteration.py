@@ -193,6 +193,8 @@ def iterate(
         current = _solve(plant, theta, sums, np.zeros(len(start)))
         if reference is None or best is None:
             reference, best, has_data = current, current, np.any(new_sums.count != 0, axis=1)
+        lost = _loses_a_trace(plant, reference, current)
+        current = replace(current, index=np.where(lost[:, None], np.inf, current.index))
         is_lower = current.cost < reference.cost - _SETTINGS.min_progress
         better = active & ((number == 0) | is_lower)
         worse = active & ~better & (current.cost > reference.cost) & (not affine)
@@ -322,6 +324,19 @@ def sandwich(
     scale = counts.scored / counts.scored_in_blocks * blocks / (blocks - 1)
     on_bound = estimate.bound[:, :, None] | estimate.bound[:, None, :]
     return np.where(on_bound, np.nan, scale * inverse @ meat @ inverse)
+
+
+def _loses_a_trace(plant: Plant, before: Iteration, after: Iteration) -> Bool[np.ndarray, " lanes"]:
+    """Whether a step has ended on a bound where a parameter has no trace any more.
+
+    A root's derivative is zero where it reaches zero (`compiler/roots.py`): no step leads away.
+    """
+    traces = [
+        np.einsum("ljaa->la", np.asarray(iteration.sums.information))
+        for iteration in (before, after)
+    ]
+    on_bound = (after.theta == plant.lower) | (after.theta == plant.upper)
+    return np.any(on_bound & (traces[0] > 0.0) & (traces[1] == 0.0), axis=1)
 
 
 def _padded(values: np.ndarray, passes: int) -> np.ndarray:

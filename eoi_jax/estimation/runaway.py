@@ -82,9 +82,11 @@ def held_runaways(
     if not names or len(names) == int(np.sum(plant.free)):
         return fit
     refitted, fixed_values = fit, dict(values)
+    ends = dict(zip(plant.names, zip(plant.lower, plant.upper, strict=True), strict=True))
     for count in itertools.count(1):
         fixed_values = {
-            name: _towards(plant.parameters[name], values[name], count) for name in names
+            name: float(np.clip(_towards(plant.parameters[name], values[name], count), *ends[name]))
+            for name in names
         }
         is_last = all(fixed_values[name] == values[name] for name in names)
         refitted = refit(plant.declared_anew({**values, **fixed_values}, fixed=names))

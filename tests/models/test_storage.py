@@ -302,6 +302,7 @@ LATER_FIELDS = {
     "upper": None,
     "history": None,
     "probability": None,
+    "repeats": None,
     "denied": {"tuple": []},
     "reason": "",
     "rivals": {"tuple": []},
