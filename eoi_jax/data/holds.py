@@ -51,6 +51,7 @@ class HoldSettings:
             a model lacks may be a bit smaller with inputs to come.
         longest_lead: of an input that was logged late [samples].
         shortest_record: of those that are asked for such a lead [leads].
+        instants: of a record, at which the gain of an input is compared with the declared one.
         evidence: twice the gain in log-likelihood from which on a skew is found, or the hold that
             goes with it is another one, or an input has another hold than the others: 3.5
             standard deviations.
@@ -69,6 +70,7 @@ class HoldSettings:
     least_lead: float = 2.0
     longest_lead: float = 64.0
     shortest_record: float = 10.0
+    instants: int = 200
     evidence: float = 12.0
     numerical: float = 2.4e-5
 
@@ -89,7 +91,7 @@ def undeclared_hold(records: Sequence[Record]) -> Hold | None:
         return undeclared[0].hold
     words = []
     for j in range(records[0].inputs.shape[1]):
-        moving = (record for record in undeclared if _moves(record, j))
+        moving = (record for record in undeclared if moves(record, j))
         words.append(next(moving, undeclared[0]).holds[j])
     return shared(words)
 
@@ -100,11 +102,17 @@ def moving_inputs(records: Sequence[Record]) -> tuple[int, ...]:
     return tuple(
         j
         for j in range(records[0].inputs.shape[1])
-        if any(_moves(record, j) for record in undeclared)
+        if any(moves(record, j) for record in undeclared)
     )
 
 
-def _moves(record: Record, j: int) -> bool:
+def moves(record: Record, j: int) -> bool:
+    """Whether an input changes in a record.
+
+    Args:
+        record: with the input.
+        j: its index.
+    """
     samples = record.inputs[record.input_valid, j]
     return bool(np.any(samples != samples[0])) if samples.size else False
 

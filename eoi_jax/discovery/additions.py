@@ -3,8 +3,6 @@
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 
-import numpy as np
-
 from eoi_jax.discovery.probability import Standing
 from eoi_jax.discovery.remarks import FitNote
 from eoi_jax.discovery.result import Added
@@ -22,6 +20,7 @@ from eoi_jax.models.effects import (
     SensorLag,
     SinusoidalDisturbance,
 )
+from eoi_jax.models.jacobians import points_of
 from eoi_jax.models.placements import ends
 from eoi_jax.models.plant import Plant
 from eoi_jax.models.sensor_errors import sensor_errors
@@ -150,11 +149,7 @@ def disturbance_notes(fit: Identification, added: Sequence[Added]) -> list[str]:
     if not fit.status.fits or not fit.records or len(fit.plant.outputs) != 1:
         return []
     record, (output,) = fit.records[0], fit.plant.outputs
-    rows = [record.outputs]
-    for _ in range(1, fit.plant.rows):
-        rows.append(np.gradient(rows[-1], record.sample_period, axis=0))
-    chosen = np.unique(np.linspace(0, len(record) - 1, _INSTANTS).astype(int))
-    points = record.time[chosen], np.stack(rows, axis=1)[chosen], record.inputs[chosen]
+    points = points_of(record, fit.plant.rows, _INSTANTS)
     unit = fit.plant.units.get(output, "")
     return [
         FitNote(_OF_SENSOR[name].format(output, f"{size:.3g} {unit}".rstrip(), name) + _WHICH)

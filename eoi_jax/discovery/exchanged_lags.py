@@ -17,7 +17,7 @@ from jaxtyping import Float
 from eoi_jax.data.record import Record
 from eoi_jax.models.augmented import Placed
 from eoi_jax.models.effects import ActuatorLag, SensorLag
-from eoi_jax.models.jacobians import derivatives, state_slopes
+from eoi_jax.models.jacobians import Points, derivatives, points_of, state_slopes
 from eoi_jax.models.plant import Plant
 
 _INSTANTS = 200  # of each record, at which both plants are compared
@@ -43,7 +43,7 @@ def exchanged(
     """
     if not _commutes(declared, placed):
         return None
-    points = [_points(record) for record in records]
+    points = [points_of(record, 1, _INSTANTS) for record in records]
     slopes = np.concatenate([state_slopes(declared, *at).ravel() for at in points])
     loss = -float(np.mean(slopes))
     if not (np.ptp(slopes) <= _LINEAR * abs(loss) and 1.0 < loss * lag < np.inf):
@@ -61,16 +61,7 @@ def _commutes(plant: Plant, placed: Placed) -> bool:
     return isinstance(placed.effect, ActuatorLag) and len(plant.inputs) == 1
 
 
-def _points(record: Record) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Time, outputs and inputs at some instants, as arguments of `derivatives`."""
-    measured = np.flatnonzero(np.all(np.isfinite(record.outputs), axis=1))
-    chosen = measured[np.linspace(0, len(measured) - 1, _INSTANTS).round().astype(int)]
-    return record.time[chosen], record.outputs[chosen][:, None], record.inputs[chosen]
-
-
-def _scaled(
-    plant: Plant, points: Sequence[tuple[np.ndarray, np.ndarray, np.ndarray]], share: float
-) -> dict[str, float] | None:
+def _scaled(plant: Plant, points: Sequence[Points], share: float) -> dict[str, float] | None:
     """Values of the parameters with which f has this share of what it has; None without any."""
     from scipy.optimize import least_squares  # only needed here
 

@@ -2,6 +2,7 @@
 
 import numpy as np
 
+from eoi_jax.data.holds import moves
 from eoi_jax.data.record import Record
 from eoi_jax.discovery.judge import error_ratio
 from eoi_jax.discovery.remarks import FitNote
@@ -26,26 +27,19 @@ def influence_notes(discovery: Discovery) -> list[str]:
     long_runs, plant = discovery.after, discovery.plant
     if long_runs is None or not np.all(long_runs.nrmse < _RULES.follows):
         return []
-    inputs = np.flatnonzero(np.any(used_inputs(plant), axis=0)).tolist()
-    if not any(_moves(record, j) for record in discovery.held_out for j in inputs):
+    records, used = discovery.held_out, np.flatnonzero(np.any(used_inputs(plant), axis=0)).tolist()
+    inputs = [j for j in used if any(moves(record, j) for record in records)]
+    if not inputs:
         return []
-    runs = judged_runs(
-        plant, discovery.held_out, window=long_runs.window, substeps=long_runs.substeps
-    )
+    window, substeps = long_runs.window, long_runs.substeps
+    runs = judged_runs(plant, records, window=window, substeps=substeps)
     notes = []
     for j in inputs:
-        if not any(_moves(record, j) for record in discovery.held_out):
-            continue
-        replaced = [_at_mean(record, j) for record in discovery.held_out]
-        trial = judged_runs(plant, replaced, window=long_runs.window, substeps=long_runs.substeps)
+        replaced = [_at_mean(record, j) for record in records]
+        trial = judged_runs(plant, replaced, window=window, substeps=substeps)
         if (ratio := error_ratio(trial, runs)) < _RULES.no_influence:
             notes.append(FitNote(_NO_INFLUENCE.format(plant.inputs[j], ratio)))
     return notes
-
-
-def _moves(record: Record, j: int) -> bool:
-    known = record.inputs[record.input_valid, j]
-    return bool(np.any(known != known[:1]))
 
 
 def _at_mean(record: Record, j: int) -> Record:

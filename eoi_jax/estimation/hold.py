@@ -29,7 +29,7 @@ from eoi_jax.data.input_holds import HOLDS, Hold, held_inputs, hold_of_each, hol
 from eoi_jax.data.record import Record
 from eoi_jax.estimation.lowpass import LowPass
 from eoi_jax.estimation.preparation import PreparedRecords, prepare_records
-from eoi_jax.models.jacobians import input_slopes
+from eoi_jax.models.jacobians import input_slopes, points_of
 from eoi_jax.models.plant import Plant
 
 Delays = Float[np.ndarray, " nu"]
@@ -338,11 +338,7 @@ def keeps_direction(plant: Plant, fitted: Plant, records: Sequence[Record], j: i
     """
     total = 0.0
     for record in records:
-        measured = np.flatnonzero(record.valid & record.input_valid)[:: max(len(record) // 200, 1)]
-        motion = [record.outputs]
-        for _ in range(1, plant.rows):
-            motion.append(np.gradient(motion[-1], record.sample_period, axis=0))
-        points = record.time[measured], np.stack(motion, axis=1)[measured], record.inputs[measured]
+        points = points_of(record, plant.rows, SETTINGS.instants)
         nominal, found = (np.asarray(input_slopes(model, *points, j)) for model in (plant, fitted))
         total += float(np.nansum(nominal * found))
     return total > 0.0

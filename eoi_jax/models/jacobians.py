@@ -9,10 +9,28 @@ from jaxtyping import Array, Bool, Complex, Float
 
 from eoi_jax.compiler.pointwise import along
 from eoi_jax.compiler.programs import jit
+from eoi_jax.data.record import Record
 from eoi_jax.models.plant import Plant, State
 
 # Host arrays are passed to kernels directly: a conversion would run a kernel for each array.
 Values = Array | np.ndarray
+# Instants [s], (S,); outputs and their derivatives there, (S, r, ny); inputs, (S, nu).
+Points = tuple[np.ndarray, np.ndarray, np.ndarray]
+
+
+def points_of(record: Record, rows: int, count: int) -> Points:
+    """Measured instants of a record, evenly chosen, with differences for derivatives of outputs.
+
+    Args:
+        record: as measured.
+        rows: outputs and so many less one of their derivatives.
+        count: of instants, at least, where the record has as many.
+    """
+    (measured,) = np.nonzero(record.valid & record.input_valid)
+    chosen, motion = measured[:: max(len(measured) // count, 1)], [record.outputs]
+    for _ in range(1, rows):
+        motion.append(np.gradient(motion[-1], record.sample_period, axis=0))
+    return record.time[chosen], np.stack(motion, axis=1)[chosen], record.inputs[chosen]
 
 
 def derivatives(plant: Plant, time: Values, y: Values, u: Values) -> Float[np.ndarray, "S ny"]:

@@ -13,11 +13,8 @@ from jaxtyping import Float
 
 from eoi_jax.models.augmented import added_effects
 from eoi_jax.models.effects import ConstantOffset, Drift, SinusoidalDisturbance
-from eoi_jax.models.jacobians import derivatives, state_slopes
+from eoi_jax.models.jacobians import Points, derivatives, state_slopes
 from eoi_jax.models.plant import Plant
-
-# Instants of a record [s], (S,); the output and its derivatives there, (S, r, 1); inputs, (S, nu).
-Points = tuple[np.ndarray, np.ndarray, np.ndarray]
 
 
 def sensor_errors(plant: Plant, points: Points) -> dict[str, float]:
