@@ -5,13 +5,13 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from eoi_jax.data.holds import with_hold
+from eoi_jax.data.holds import made_alike
 from eoi_jax.data.record import Record
 from eoi_jax.discovery.result import Discovery
 from eoi_jax.models.plant import Plant
 from eoi_jax.refinement.refine import refine_once
 from eoi_jax.refinement.result import Refinement
-from eoi_jax.refinement.start_check import with_start_check
+from eoi_jax.refinement.start_check import stated_starts, with_start_check
 
 
 @dataclass(frozen=True)
@@ -32,10 +32,9 @@ def with_stated_starts(discovery: Discovery, records: Sequence[Record]) -> Disco
         records: of the fit, as given.
     """
     plant, used = discovery.declared.nominal, discovery.declared.records
-    if discovery.status.code not in ("unexplained", "partial"):
+    if discovery.status.code not in ("unexplained", "partial") or not stated_starts(plant):
         return discovery
-    alike = with_hold(records, used[0].logged_hold, used[0].skew)
-    stated = refine_once(plant, alike, None)
+    stated = refine_once(plant, made_alike(records, records, used), None)
     if not stated.status.fits:
         return discovery
     freed: list[Refinement] = []

@@ -41,8 +41,7 @@ def with_start_check(
         refit: makes another one from a plant along records, in runs of the same length.
     """
     plant, records = result.plant, result.records
-    begins = _beginnings(result)
-    count = int(np.sum(np.isfinite(plant.known_start)) + np.sum(_declared(plant)))
+    begins, count = _beginnings(result), stated_starts(plant)
     if not count or not begins:
         return result
     continuing = tuple(record.continuing() for record in records)
@@ -59,6 +58,15 @@ def with_start_check(
     values = [(freed.starts[i].record, freed.starts[i].y[owned(plant)]) for i in begins]
     internal = [_internal(plant, freed.starts[i].z, result.starts[i].z) for i in begins]
     return replace(result, notes=(*result.notes, contradiction(plant, values, internal)))
+
+
+def stated_starts(plant: Plant) -> int:
+    """Number of starts that a plant states: of outputs, of their derivatives, of internal states.
+
+    Args:
+        plant: as it is declared.
+    """
+    return int(np.sum(np.isfinite(plant.known_start)) + np.sum(_declared(plant)))
 
 
 def with_free_starts(result: Refinement) -> Refinement:
