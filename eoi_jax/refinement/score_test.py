@@ -186,8 +186,9 @@ class LinearisedRuns:
                 return []
             columns = self._columns(forces)
         power = np.sum(columns**2, axis=0)
-        columns = self.unknowns.removed_from(columns)
-        remaining_power = np.sum(columns**2, axis=0)
+        with np.errstate(invalid="ignore"):  # of shapes that overflow: they say nothing
+            columns = self.unknowns.removed_from(columns)
+            remaining_power = np.sum(columns**2, axis=0)
         new = np.isfinite(remaining_power) & (remaining_power > _SETTINGS.min_new * power)
         count = columns.shape[1] // len(grid)
         parts = [slice(i * count, (i + 1) * count) for i in range(len(grid))]
