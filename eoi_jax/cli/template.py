@@ -110,7 +110,8 @@ def remarks(inspection: Inspection) -> list[str]:
     lines = (*inspection.notes, *inspection.advice)
     sentences = [line for line in lines if not (done and JUMPS in line and f"`{name}`" in line)]
     if drafted.repeats:
-        sentences.remove(repeat_note(name, drafted.repeats))
+        told = repeat_note(name, drafted.repeats)
+        sentences = [line for line in sentences if line != told]
         sentences.append(_REPEATS.format(name, drafted.repeats))
     if further:
         listed = ", ".join(f"`{column}`" for column in further)

@@ -94,7 +94,7 @@ def without_repeats(
         notes: to which a sentence on each chosen channel is added.
 
     Raises:
-        ValueError: a name that is none of the channels, or a channel without repeats.
+        ValueError: a name that is none of the channels.
     """
     emptied = np.array(signals)
     for name in chosen:
