@@ -32,7 +32,12 @@ from eoi_jax.data.record_notes import record_notes
 from eoi_jax.data.resampling import Real
 from eoi_jax.discovery.additions import fit_notes
 from eoi_jax.discovery.curves import misses_a_law, with_curves
-from eoi_jax.discovery.doubts import leaves_more, leaves_open, may_be_rate, misses_widely
+from eoi_jax.discovery.doubts import (
+    leaves_more,
+    leaves_open,
+    may_be_rate,
+    misses_widely,
+)
 from eoi_jax.discovery.hold_choice import Searched, with_best_hold, with_held_inputs
 from eoi_jax.discovery.in_free_runs import (
     unless_refined_is_better,
@@ -269,7 +274,12 @@ class _Search:
         effects = [effect.since(start) for effect in dict.fromkeys((*self.effects, *further))]
         changing = self._changing_in_time(discovery, records, held_out)
         if changing and changing.status.code == "complete" and not leaves_more(changing):
-            return changing
+            if not leaves_open(changing):
+                return changing
+            self.progress("searching in free runs", 2 + _RULES.rounds, STAGES)
+            return with_free_runs(
+                changing, records, held_out, effects, searched.partial, self.lowpass, self.alpha
+            )
         if leaves_more(discovery):
             discovery = unless_refined_is_better(discovery, records)
         is_open = leaves_open(discovery)

@@ -20,6 +20,7 @@ from eoi_jax.models.effects import (
     InputQuadratic,
     Leak,
     Overflow,
+    ParameterDependence,
     SinusoidalDisturbance,
     StribeckFriction,
 )
@@ -56,7 +57,7 @@ def leaves_open(discovery: Discovery) -> bool:
     in_time = _in_time(discovery.added) and _misses_by_more_than_noise(discovery)
     doubted = in_time or _bends(discovery.added) or _vanishes(discovery.added)
     doubted |= may_be_store(discovery.added) and not is_small
-    doubted |= bends_factor(discovery)
+    doubted |= bends_factor(discovery) or may_be_motion(discovery)
     return code in ("unexplained", "no_data") or (code == "complete" and doubted)
 
 
@@ -88,6 +89,23 @@ def is_doubtful(added: Sequence[Added]) -> bool:
 def _in_time(added: Sequence[Added]) -> bool:
     """Whether one of some effects is a disturbance in time."""
     return any(isinstance(item.effect, Drift | SinusoidalDisturbance) for item in added)
+
+
+def may_be_motion(discovery: Discovery) -> bool:
+    """Whether a change with time, or a kink, of a loss leaves much of the motion in free runs.
+
+    Where records begin alike, as those of a decay, what depends on a state that is not measured,
+    or on a power of one that is, is a function of time there, too; and of two stores the loss is
+    fast at first and slow below a level.
+    """
+    runs = telling_runs(discovery)
+    if runs is None or np.all(runs.nrmse < _RULES.wide):
+        return False
+    return any(
+        isinstance(item.effect, Overflow)
+        or (isinstance(item.effect, ParameterDependence) and not item.effect.signals)
+        for item in discovery.added
+    )
 
 
 def _bends(added: Sequence[Added]) -> bool:

@@ -18,7 +18,13 @@ from eoi_jax.discovery.additions import (
 )
 from eoi_jax.discovery.confirm import beyond_noise
 from eoi_jax.discovery.diagnose import diagnose
-from eoi_jax.discovery.doubts import bends_factor, may_be_rate, may_be_store, stands_in
+from eoi_jax.discovery.doubts import (
+    bends_factor,
+    may_be_motion,
+    may_be_rate,
+    may_be_store,
+    stands_in,
+)
 from eoi_jax.discovery.expected_error import error_over_noise, misses
 from eoi_jax.discovery.free_run_candidates import Model
 from eoi_jax.discovery.free_run_evidence import (
@@ -32,7 +38,7 @@ from eoi_jax.discovery.free_run_evidence import (
 from eoi_jax.discovery.free_run_search import FreeRunAnswer, RecordPair, search_free_runs
 from eoi_jax.discovery.free_run_trials import Search, refined
 from eoi_jax.discovery.judge import Judge, Judged, mean_error
-from eoi_jax.discovery.probability import Standing, from_contests
+from eoi_jax.discovery.probability import Standing, beside_rival, from_contests, odds_of
 from eoi_jax.discovery.refit import on_bounds
 from eoi_jax.discovery.remarks import FitNote, GridNote, HoldNote, Reason, is_on_fit
 from eoi_jax.discovery.replacements import fixed_shapes, replaced_terms
@@ -90,12 +96,18 @@ def with_free_runs(
     if answer is None:
         return discovery
     justified = rival is not None and not stands_in(discovery.added)
-    is_store = may_be_store(discovery.added)
-    doubted = justified and (is_store or bends_factor(discovery) or may_be_rate(discovery))
-    if doubted and not surpasses(answer, discovery.plant, placed_effects(discovery)):
-        return discovery
+    is_store, is_motion = may_be_store(discovery.added), may_be_motion(discovery)
+    value = _odds(discovery, answer) if is_motion else 0.0
+    doubted = is_store or is_motion or bends_factor(discovery) or may_be_rate(discovery)
+    # Of a change in time, or of a kink, it is enough that the other model is more probable.
+    is_likely = value * RULES.probability.likely > 1.0 - RULES.probability.likely
+    replaced = is_likely or surpasses(answer, discovery.plant, placed_effects(discovery))
+    if justified and doubted and not replaced:
+        return _with_rivals(discovery, answer.best, value)
     outcome = answered(discovery, answer, effects, lowpass)
-    return discovery if justified and contradicts_injection(outcome, discovery) else outcome
+    if justified and contradicts_injection(outcome, discovery):
+        return _with_rivals(discovery, answer.best, value)
+    return outcome
 
 
 def with_rate_in_place(
@@ -136,6 +148,40 @@ def with_rate_in_place(
     model = augmented(plant, placed, values), tuple(placed)
     effects = rate, *(item.effect for item in placed if item.effect != rate)
     return with_free_runs(discovery, records, held_out, effects, [model], lowpass, alpha)
+
+
+def _odds(discovery: Discovery, answer: FreeRunAnswer) -> float:
+    """Odds of the model that free runs came to over an answer that was tried among others."""
+    placed, best = placed_effects(discovery), answer.best
+    trials = [trial for contest in answer.rounds for trial in contest.trials]
+    own = [trial for trial in trials if trial.placed == placed]
+    if not own or best.placed == placed:
+        return 0.0
+    chosen = min(own, key=lambda trial: trial.error)
+    return odds_of(best, chosen, best.burden - chosen.burden)
+
+
+def _with_rivals(discovery: Discovery, best: Judged, value: float) -> Discovery:
+    """The discovery with the model of free runs as a rival, which predicts no better for certain.
+
+    Args:
+        discovery: the answer so far, which explains the injection.
+        best: the model.
+        value: its odds over the answer.
+    """
+    plant, placed = discovery.declared.nominal, placed_effects(discovery)
+    rivals = [law for law in best.placed if law not in placed]
+    standings, added = _standings_of(discovery), []
+    for item, law in zip(discovery.added, placed, strict=True):
+        if value and rivals and law in standings and law not in best.placed:
+            standing = beside_rival(plant, standings[law], rivals, value)
+            item = replace(item, probability=standing.probability, rivals=standing.rivals)
+        added.append(item)
+    labels = [rival.effect for item in added for rival in item.alternatives]
+    labels = [name for name in labels if name not in discovery.effects]
+    names = tuple(dict.fromkeys((*discovery.ambiguous_with, *labels)))
+    advice = discovery.advice or experiments(plant, added, names)
+    return replace(discovery, added=tuple(added), ambiguous_with=names, advice=advice)
 
 
 def contradicts_injection(outcome: Discovery, justified: Discovery) -> bool:

@@ -103,6 +103,30 @@ def position_of(plant: Plant, placed: Placed) -> str:
     return position_text(channels[placed.channel], *ends(plant, placed))
 
 
+def beside_rival(
+    plant: Plant, earlier_standing: Standing, rivals: Sequence[Placed], value: float
+) -> Standing:
+    """A standing from the injection, beside a model of free runs with other effects.
+
+    Args:
+        plant: that has the channels of the effects.
+        earlier_standing: the standing of an effect of the answer.
+        rivals: effects that the model has in its place.
+        value: odds of the model over the answer, by its free runs.
+    """
+    total = 1.0 + earlier_standing.probability * value
+    share = earlier_standing.probability * value / total / max(len(rivals), 1)
+    named = [
+        Rival(law.effect.name, law.effect.form, position_of(plant, law), share) for law in rivals
+    ]
+    earlier = [
+        replace(rival, probability=rival.probability / total) for rival in earlier_standing.rivals
+    ]
+    told = [rival for rival in (*named, *earlier) if rival.probability >= _RULES.told]
+    ranked = sorted(told, key=lambda rival: -rival.probability)
+    return Standing(earlier_standing.probability / total, tuple(ranked))
+
+
 def from_sets(
     plant: Plant,
     placed: Placed,
@@ -172,11 +196,11 @@ def from_contests(
         if contest is None:
             continue
         chosen = contest.chosen
-        against: dict[Placed | None, float] = {None: _odds(contest.origin, chosen)}
+        against: dict[Placed | None, float] = {None: odds_of(contest.origin, chosen)}
         for trial in contest.trials:
             rivals = [rival for rival in trial.placed if rival.kind_site not in places]
             if rivals and place not in _places(trial) and not reads_as(rivals[0], placed):
-                found = _odds(trial, chosen, trial.burden - chosen.burden)
+                found = odds_of(trial, chosen, trial.burden - chosen.burden)
                 against[rivals[0]] = max(found, against.get(rivals[0], 0.0))
         against |= dict.fromkeys(_twins(plant, placed, best.placed), 1.0)
         removed = _power(contest.origin.error) - _power(chosen.error)
@@ -184,7 +208,7 @@ def from_contests(
     return standings
 
 
-def _odds(rival: Judged, chosen: Judged, further: float = 0.0) -> float:
+def odds_of(rival: Judged, chosen: Judged, further: float = 0.0) -> float:
     """`odds` of a model over the chosen one, by all records on which both have free runs."""
     of_fit = (rival.fit_runs, chosen.fit_runs) if rival.fit_runs and chosen.fit_runs else None
     return odds(rival.runs, chosen.runs, further, of_fit)
