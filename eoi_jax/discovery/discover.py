@@ -73,6 +73,7 @@ from eoi_jax.discovery.requested import (
 )
 from eoi_jax.discovery.result import Discovery
 from eoi_jax.discovery.rules import RULES
+from eoi_jax.discovery.sensor_in_place import may_be_sensor, with_sensor_in_place
 from eoi_jax.discovery.stated_starts import with_stated_starts
 from eoi_jax.discovery.task import Task
 from eoi_jax.discovery.unseen_records import with_test_errors
@@ -288,12 +289,9 @@ class _Search:
             discovery = with_free_runs(
                 discovery, records, held_out, effects, searched.partial, self.lowpass, self.alpha
             )
-        elif may_be_rate(discovery):
-            self.progress("searching in free runs", 2 + _RULES.rounds, STAGES)
-            for rate in [effect for effect in effects if isinstance(effect, InputRate)]:
-                discovery = with_rate_in_place(
-                    discovery, records, held_out, rate, self.lowpass, self.alpha
-                )
+        else:
+            rates = [effect for effect in effects if isinstance(effect, InputRate)]
+            discovery = self._late_otherwise(discovery, records, held_out, rates)
         discovery = self._with_curves(replace(searched, discovery=discovery).with_lead, records)
         if not is_open and leaves_more(discovery):
             self.progress("searching in free runs", 2 + _RULES.rounds, STAGES)
@@ -325,6 +323,30 @@ class _Search:
         search = replace(self, effects=tuple(laws), rare=(), named=True)
         answer = search._explained(records, held_out)
         return answer if answer.added and answer.status.code in ("complete", "partial") else None
+
+    def _late_otherwise(
+        self,
+        discovery: Discovery,
+        records: tuple[Record, ...],
+        held_out: tuple[Record, ...],
+        rates: Sequence[InputRate],
+    ) -> Discovery:
+        """The answer, with what the injection does not try in place of lags and delays of inputs.
+
+        A lag of the sensor, or else a response to the rate of an input.
+        """
+        if may_be_sensor(discovery) and not self.named:
+            self.progress("searching in free runs", 2 + _RULES.rounds, STAGES)
+            outcome = with_sensor_in_place(discovery, records, held_out, self.lowpass)
+            if outcome is not discovery:
+                return outcome
+        if may_be_rate(discovery):
+            self.progress("searching in free runs", 2 + _RULES.rounds, STAGES)
+            for rate in rates:
+                discovery = with_rate_in_place(
+                    discovery, records, held_out, rate, self.lowpass, self.alpha
+                )
+        return discovery
 
     def _with_curves(self, discovery: Discovery, records: tuple[Record, ...]) -> Discovery:
         """The answer, with curves where these predict far better, or as well as many laws."""

@@ -41,7 +41,7 @@ def exchanged(
         other states or several inputs before one lag, is the slower one, or where its parameters
         cannot take the change.
     """
-    if not _commutes(declared, placed):
+    if not commutes(declared, placed):
         return None
     points = [points_of(record, 1, _INSTANTS) for record in records]
     slopes = np.concatenate([state_slopes(declared, *at).ravel() for at in points])
@@ -52,8 +52,13 @@ def exchanged(
     return None if values is None else {**values, placed.names[0]: 1.0 / loss}
 
 
-def _commutes(plant: Plant, placed: Placed) -> bool:
-    """Whether an effect is a lag in series with a plant of one output, of first order."""
+def commutes(plant: Plant, placed: Placed) -> bool:
+    """Whether an effect is a lag in series with a plant of one output, of first order.
+
+    Args:
+        plant: without it.
+        placed: the effect.
+    """
     if plant.degrees != (1,) or plant.internal:
         return False
     if isinstance(placed.effect, SensorLag):

@@ -34,7 +34,6 @@ from dataclasses import dataclass, replace
 import numpy as np
 from jaxtyping import Float
 
-from eoi_jax.data.holds import SETTINGS
 from eoi_jax.data.record import Record
 from eoi_jax.discovery.free_run_candidates import Model, candidates
 from eoi_jax.discovery.free_run_trials import Search, count_of
@@ -324,7 +323,7 @@ def _made_better(searches: Sequence[Search], search: Search, best: Judged) -> tu
     for variant in searches:
         if variant is not search:
             trial = variant.refitted(best)
-            if trial is not None and _is_better_made(trial, best, variant):
+            if trial is not None and variant.is_better_made(trial, best):
                 pairs.append((variant, trial))
     return min(pairs, key=lambda pair: pair[1].refinement.cost)
 
@@ -338,14 +337,3 @@ def _made_best(searches: Sequence[Search], search: Search, best: Judged) -> tupl
         return search, best
     variant, trial = _made_better(searches, search, best)
     return variant, trial if trial is best else variant.leanest(trial)
-
-
-def _is_better_made(trial: Judged, best: Judged, variant: Search) -> bool:
-    """Whether a model fits records made in another way better by more than chance.
-
-    Its parameters are the same ones, so that the likelihood of all samples decides: a hold that is
-    wrong by half a sample may raise errors by half a hundredth, and make a time constant a third
-    too small. The records that judge are fewer; they must not tell against it.
-    """
-    gain = count_of(variant.searched) * (best.refinement.cost - trial.refinement.cost)
-    return gain > SETTINGS.evidence and not variant.judge.needs(best, trial)

@@ -9,6 +9,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from eoi_jax.data.holds import SETTINGS
 from eoi_jax.data.record import Record
 from eoi_jax.discovery.additions import has_size, size_is_known
 from eoi_jax.discovery.exchanged_lags import exchanged
@@ -84,6 +85,14 @@ class Search:
             agree &= all(judge.is_same(fit.error, bases[-1].error) for fit in fits)
         ordered = sorted(bases, key=lambda fit: fit.error)
         return cls(records, searched, judge, tuple(ordered), agree) if bases else None
+
+    def made_with(self, records: tuple[Record, ...], judging: tuple[Record, ...]) -> "Search":
+        """The search on the same records, made in another way; its bases are as they were."""
+        searched = portion(records, self.base.refinement.plant)
+        judge = replace(self.judge, records=judging)
+        if judge.of_fit is not None:
+            judge = replace(judge, of_fit=replace(judge.of_fit, records=searched))
+        return replace(self, records=records, searched=searched, judge=judge)
 
     @property
     def is_lost(self) -> bool:
@@ -382,6 +391,16 @@ class Search:
         """A model of records made in another way, refined on these over runs as long."""
         runs = self.searched, model.refinement.window, self.judge
         return _fitted(model.refinement.plant, model.placed, *runs)
+
+    def is_better_made(self, trial: Judged, best: Judged) -> bool:
+        """Whether a model fits these records better by more than chance than those it came from.
+
+        Its parameters are the same ones, so that the likelihood of all samples decides: a hold that
+        is wrong by half a sample may raise errors by half a hundredth, and make a time constant a
+        third too small. The records that judge are fewer; they must not tell against it.
+        """
+        gain = count_of(self.searched) * (best.refinement.cost - trial.refinement.cost)
+        return gain > SETTINGS.evidence and not self.judge.needs(best, trial)
 
     def settled(self, best: Judged) -> Judged | None:
         """The model refined on all records, over the length of runs that predicts all of them best.
