@@ -90,26 +90,38 @@ def shown_by_all(answer: FreeRunAnswer) -> bool:
     return bool(best.error < base.error and fall > -np.log(RULES.answer.confirmed))
 
 
-def without_stand_ins(answer: FreeRunAnswer, model: Judged, declared: Plant) -> Judged:
-    """A model without effects of the explanation whose size it does not tell any more.
+def without_stand_ins(
+    answer: FreeRunAnswer, model: Judged, declared: Plant, doubted: Sequence[Placed]
+) -> Judged:
+    """A model without effects of the explanation that it does not need any more.
 
-    They stood in for what free runs found beside them, or for parameters that the passes biased.
-    All stay where the records that judge are predicted worse without them.
+    They stood in for what free runs found beside them, or for parameters that the passes biased:
+    the model does not tell their size, or the injection was not sure of them. All stay where the
+    records that judge are predicted worse without them.
 
     Args:
         answer: what the search came to.
         model: its base or its best one.
         declared: without effects.
+        doubted: effects of the explanation that the injection is not sure of.
     """
-    fit = model.refinement
-    stay = tuple(at for at in model.placed if at not in answer.base.placed or has_size(at, fit))
-    if len(stay) in (0, len(model.placed)):
-        return model
-    values = fit.parameters
+    values = model.refinement.parameters
     plant = declared.with_parameters({name: values[name] for name in declared.names})
-    leaner = refined(augmented(plant, stay, values), stay, answer.records, answer.judge)
-    as_good = leaner is not None and answer.judge.is_as_good(leaner.runs, model.runs)
-    return leaner if leaner is not None and as_good else model
+
+    def leaner(stay: tuple[Placed, ...], model: Judged) -> Judged:
+        if len(stay) in (0, len(model.placed)):
+            return model
+        trial = refined(augmented(plant, stay, values), stay, answer.records, answer.judge)
+        as_good = trial is not None and answer.judge.is_as_good(trial.runs, model.runs)
+        return trial if trial is not None and as_good else model
+
+    explained, fit = answer.base.placed, model.refinement
+    has_further = len(model.placed) > len(explained)
+    told = tuple(at for at in model.placed if at not in explained or has_size(at, fit))
+    model = leaner(told, model)
+    for effect in doubted if has_further else ():
+        model = leaner(tuple(at for at in model.placed if at != effect), model)
+    return model
 
 
 def contradicted_by_fit(answer: FreeRunAnswer) -> bool:

@@ -297,7 +297,10 @@ def with_further_effects(
         model, further = answer.base, ()
         if not answer.better_base:
             return replace(discovery, notes=(*discovery.notes, *hints))
-    model = without_stand_ins(answer, model, discovery.declared.nominal)
+    sure = RULES.probability.sure
+    doubted = [at for at, item in zip(present, discovery.added, strict=True)
+               if item.probability is not None and item.probability < sure]  # fmt: skip
+    model = without_stand_ins(answer, model, discovery.declared.nominal, doubted)
     fit = _fit_of(discovery, answer, model, lowpass)
     long_runs, short_runs = discovery.before, discovery.windows_after
     assert long_runs is not None
@@ -528,8 +531,8 @@ _FURTHER = (
     "records have {:.3g} of those of the answer without it, refined"
 )
 _STOOD_IN = (
-    "left out: {}, part of what explained the injection; in the model that is refined in free runs "
-    "its size is not told, and the held-out records are predicted as well without it"
+    "left out: {}, part of what explained the injection; refined in free runs, the model predicts "
+    "the held-out records as well without it"
 )
 _BETTER = (
     "the answer was refined by the error of its free runs: on the held-out records they are "

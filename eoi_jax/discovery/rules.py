@@ -227,6 +227,8 @@ class ProbabilityRules:
         told: probability from which on a rival is listed.
         alternative: probability from which on it is named beside the effect.
         likely: probability of an effect below which the answer tells it as possible: even odds.
+        sure: probability of an effect of the injection, below which it goes where free runs find
+            others beside it and do not need it. Set with a valve in view that has a dead zone.
         implausible: difference of twice the log-likelihood above which a set has no weight.
         largest_odds: of a rival in free runs: a few blocks can say no more.
     """
@@ -234,6 +236,7 @@ class ProbabilityRules:
     told: float = 0.01
     alternative: float = 0.1
     likely: float = 0.5
+    sure: float = 0.9
     implausible: float = 25.0
     largest_odds: float = 1e6
 

@@ -9,14 +9,19 @@ from scipy.signal import lfilter
 
 import eoi_jax as eoi
 from eoi_jax import effects
-from eoi_jax.discovery import free_run_search, free_run_trials, in_free_runs
+from eoi_jax.discovery import (
+    free_run_evidence,
+    free_run_search,
+    free_run_trials,
+    in_free_runs,
+)
 from eoi_jax.discovery.free_run_candidates import candidates
 from eoi_jax.discovery.free_run_evidence import without_stand_ins
 from eoi_jax.discovery.free_run_search import FreeRunAnswer, search_free_runs
 from eoi_jax.discovery.free_run_trials import Search, over_both
 from eoi_jax.discovery.judge import Judge, Judged, _standardised, mean_error, only_otherwise
 from eoi_jax.discovery.probability import Contest
-from eoi_jax.models.augmented import augmented, place
+from eoi_jax.models.augmented import Placed, augmented, place
 from eoi_jax.models.effects import Product
 from eoi_jax.refinement.refine import refine_once
 from eoi_jax.refinement.remaining import remaining
@@ -984,24 +989,37 @@ def test_an_effect_whose_size_the_answer_does_not_tell_goes(monkeypatch, told):
     assert bool(answer.best.placed) is told
 
 
-@pytest.mark.parametrize(("offset", "stays"), [(0.0, False), (0.3, True)])
-def test_of_an_explanation_goes_what_free_runs_do_not_tell_beside_their_effects(offset, stays):
+def beside_a_level(offset: float) -> tuple[FreeRunAnswer, list[Placed]]:
+    """An answer of free runs, a square of the input beside a level that was there before it."""
     judge = Judge.of((blown(2, offset),), FAN)
     assert judge is not None
-    level, square = (
-        place(FAN, kind(), 0) for kind in (effects.ConstantOffset, effects.InputSquare)
-    )
+    kinds = effects.ConstantOffset, effects.InputSquare
+    level, square = (place(FAN, kind(), 0) for kind in kinds)
     models = []
     for placed in ((level,), (level, square)):
         plant = augmented(FAN, placed, {"constant_offset": 0.0})
         fit = refine_once(plant, (blown(1, offset),), None)
         models.append(Judged(fit, placed, judge.runs(fit.plant)))
-    base, model = models
-    answer = FreeRunAnswer(base, model, (blown(1, offset),), judge, True, 1.0)
-    left = without_stand_ins(answer, answer.best, FAN)
+    return FreeRunAnswer(*models, (blown(1, offset),), judge, True, 1.0), [level, square]
+
+
+@pytest.mark.parametrize(("offset", "stays"), [(0.0, False), (0.3, True)])
+def test_of_an_explanation_goes_what_free_runs_do_not_tell_beside_their_effects(offset, stays):
+    answer, (level, square) = beside_a_level(offset)
+    left = without_stand_ins(answer, answer.best, FAN, ())
     assert left.placed == ((level, square) if stays else (square,))
     if not stays:
         assert left.refinement.parameters == pytest.approx({"b": 3.0, "a": 0.8}, rel=0.03)
+
+
+@pytest.mark.parametrize(("offset", "stays"), [(0.0, False), (0.3, True)])
+def test_what_the_injection_is_not_sure_of_goes_where_it_is_not_needed(monkeypatch, offset, stays):
+    """Also where its size is told: a model of which something else is wrong bends it."""
+    monkeypatch.setattr(free_run_evidence, "has_size", lambda *_: True)
+    answer, (level, square) = beside_a_level(offset)
+    assert without_stand_ins(answer, answer.best, FAN, ()).placed == (level, square)
+    left = without_stand_ins(answer, answer.best, FAN, [level])
+    assert left.placed == ((level, square) if stays else (square,))
 
 
 def test_a_model_with_more_states_than_samples_tell_is_not_tried():

@@ -54,6 +54,9 @@ class InputSaturation(AbstractInputEffect):
     def grid(self, seen: Seen) -> Grid:
         shares = [0.3, 0.4, 0.5, 0.6, 0.7, 0.78, 0.85, 0.9, 0.94, 0.97, 0.99]
         grid = quantiles(np.abs(seen.u), shares)
+        # A limit that is hardly ever met may lie far above them.
+        highest = 0.5 * (grid[-1:] + np.max(np.abs(seen.u)))
+        grid = np.concatenate([grid, highest[highest > grid[-1]][:, None]])
         return grid[grid[:, 0] > 0] if np.any(grid > 0) else np.ones((1, 1))
 
     def changed(self, at: At, shape: Any) -> Any:
