@@ -389,6 +389,7 @@ def read_file(path: Path, table: DataTable, name: str, options: dict[str, Any]) 
             max_gigabytes=table.max_gigabytes,
             sheet=table.sheet,
             empty_repeats=table.empty_repeats,
+            missing=table.missing,
             **options,
         )
     except ValueError as error:

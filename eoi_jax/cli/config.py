@@ -347,6 +347,7 @@ class SimulateTable(msgspec.Struct, frozen=True):
 
 
 InputHold = Literal["zero", "linear", "smooth"]
+MissingCodes = float | str | tuple[float | str, ...]
 HoldWord = Literal["auto", "zero", "linear", "smooth"]
 
 
@@ -366,6 +367,8 @@ class DataTable(msgspec.Struct, frozen=True):
             of their range: ``{ encoder = 4096 }``.
         empty_repeats: columns in which a value that repeats the one before is a missing sample, as
             of a slower sensor whose last value is stored until the next one comes.
+        missing: what stands for no value in the cells of inputs and outputs, before scaling:
+            ``[-999, "Inp OutRange"]``, or by column ``{ outdoor = -999 }``.
         slice: first and last (excluded) sample used.
         parts: ranges of samples by file, each a record of its own, in place of `slice`: where the
             logger was started again, as ``{ "run.csv" = [[0, 3017], [3017, 6024]] }``.
@@ -387,6 +390,7 @@ class DataTable(msgspec.Struct, frozen=True):
     units: dict[str, str] = {}
     unwrap: dict[str, Positive] = {}
     empty_repeats: tuple[str, ...] = ()
+    missing: MissingCodes | dict[str, MissingCodes] = ()
     slice: tuple[int, int] | None = None
     parts: dict[str, tuple[tuple[int, int], ...]] = {}
     hold: HoldWord | dict[str, InputHold] = "auto"

@@ -10,6 +10,7 @@ from eoi_jax._checks import check
 from eoi_jax.cli.build import read_file, records_of_table
 from eoi_jax.cli.config import Config, DataTable
 from eoi_jax.data.inspection import inspect
+from eoi_jax.data.readers.missing import codes_by_column, without_missing
 from eoi_jax.data.readers.read_record import read_table
 from eoi_jax.data.record import Record
 from eoi_jax.data.time_axis import parts_between_restarts
@@ -73,6 +74,8 @@ def planned_inputs(config: Config, model: Plant, file: Path) -> tuple[Record, di
         for name in ("scale", "units", "unwrap")
     }
     repeats = tuple(key for key in table.empty_repeats if key in columns)
+    if isinstance(table.missing, dict):
+        options["missing"] = {key: code for key, code in table.missing.items() if key in columns}
     read = {"inputs": inputs, "outputs": (table.time,), "references": (), "burn_in": 0.0}
     read |= {"mask_faults": False, "empty_repeats": repeats}
     table = msgspec.structs.replace(table, **read, **options)
@@ -126,8 +129,15 @@ def _first_outputs(table: DataTable, model: Plant, file: Path) -> dict[str, floa
     content, first = read_table(file, table.max_gigabytes, table.sheet), {}
     stamps = content.columns.get(table.time or "")
     row = -1 if stamps is not None and stamps.dtype.kind != "O" and stamps[0] > stamps[-1] else 0
-    for name, column in zip(model.outputs, table.outputs or model.outputs, strict=True):
+    columns = table.outputs or model.outputs
+    missing = table.missing
+    if isinstance(missing, dict):
+        missing = {key: code for key, code in missing.items() if key in columns}
+    codes = codes_by_column(missing, columns)
+    for name, column in zip(model.outputs, columns, strict=True):
         values = content.columns.get(column)
+        if values is not None:
+            values = without_missing(column, values, codes.get(column, ()), [])
         if values is None or values.dtype.kind not in "iuf" or not np.isfinite(values[row]):
             continue
         unit, expected = content.units.get(column, ""), model.units.get(name, "")

@@ -18,7 +18,7 @@ from eoi_jax.cli.terminal import shell_word
 from eoi_jax.data.channel import Channel
 from eoi_jax.data.column_names import short_names
 from eoi_jax.data.column_roles import SMOOTH, hold_of_entries
-from eoi_jax.data.inspection import Inspection, InspectionSettings
+from eoi_jax.data.inspection import USED_AS_MEASURED, Inspection, InspectionSettings
 from eoi_jax.data.readers.long_form import stacked_topics
 from eoi_jax.data.record import Record
 from eoi_jax.data.repeats import repeat_note, without_repeats
@@ -113,6 +113,14 @@ def remarks(inspection: Inspection) -> list[str]:
         told = repeat_note(name, drafted.repeats)
         sentences = [line for line in sentences if line != told]
         sentences.append(_REPEATS.format(name, drafted.repeats))
+    declared = {f"`{at.name}` is {code:.12g} " for at in inspection.channels for code in at.codes
+                if at.name in (*inspection.inputs, name)}  # fmt: skip
+    sentences = [
+        f"{line.partition(USED_AS_MEASURED)[0]}The draft declares it."
+        if USED_AS_MEASURED in line and any(map(line.startswith, declared))
+        else line
+        for line in sentences
+    ]
     if further:
         listed = ", ".join(f"`{column}`" for column in further)
         sentences.append(_ONE_OUTPUT.format(name, listed))
@@ -360,6 +368,9 @@ def _data_lines(
         lines.append(f"# other columns: {names}{drives}")
     if units:
         lines.append(f"units = {_table(units)}")
+    codes = {at.name: at.codes for at in inspection.channels if at.codes}
+    codes = {key: codes[key] for key in (*inputs, output.name) if key in codes}
+    lines += [f"missing = {_table(codes)}  # no values, as it seems"] if codes else []
     lines += [*_unwrap_lines(output), *_repeat_lines(output)]
     fitted, held_out = _divided(files, [inspection.parts for inspection in inspections])
     lines += [fitted] if fitted else []
@@ -529,9 +540,13 @@ def _list(values: Sequence[str]) -> str:
     return "[" + ", ".join(_text(value) for value in values) + "]"
 
 
+def _entry(value: Any) -> str:
+    """A text, a number, or a list of numbers."""
+    if isinstance(value, str):
+        return _text(value)
+    return repr([float(number) for number in value] if isinstance(value, tuple) else float(value))
+
+
 def _table(items: dict[str, Any]) -> str:
-    entries = (
-        f"{_text(key)} = {_text(value) if isinstance(value, str) else repr(float(value))}"
-        for key, value in items.items()
-    )
+    entries = (f"{_text(key)} = {_entry(value)}" for key, value in items.items())
     return "{ " + ", ".join(entries) + " }"

@@ -28,6 +28,8 @@ class Channel:
         band: frequency below which 99 % of the power lies [Hz]; None for a constant signal.
         repeats: mean number of rows for which it keeps a value until the next one comes; None: it
             does not.
+        codes: values that look like codes for a missing value; the other attributes are those of
+            the column without them.
         notes: what a record of this column does about the time stamps, and where it may be frozen.
     """
 
@@ -47,3 +49,4 @@ class Channel:
     notes: tuple[str, ...] = ()
     wraps: Wrapping | None = None
     repeats: float | None = None
+    codes: tuple[float, ...] = ()

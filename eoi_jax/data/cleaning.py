@@ -15,6 +15,7 @@ from eoi_jax._types import Inputs, Mask, OutputMask, Outputs, Signals, TimeAxis
 from eoi_jax.compiler.jax_private import Tracer
 from eoi_jax.data.glitches import without_faults
 from eoi_jax.data.input_holds import SELDOM, Hold, hold_of_each, hold_text
+from eoi_jax.data.missing_codes import input_code_notes, without_output_codes
 from eoi_jax.data.noise import white_noise
 from eoi_jax.data.resampling import (
     Grid,
@@ -213,6 +214,8 @@ def scored_samples(
         listed = ", ".join(f"`{key}` {column.sum()}" for key, column in bad.items())
         share = f"{rows.sum()} of {counted(len(rows), 'sample')} {is_or_are(rows.sum())}"
         notes.append(f"{share} not finite ({listed}): masked.")
+    input_code_notes(u, u_names, notes)
+    y_good = without_output_codes(y, y_good, mask_faults, y_names, notes)
     if mask_faults:
         y_good = without_faults(y, y_good, u, y_names, notes)
     used = np.hstack([finite[:, : len(u_names)], y_good])

@@ -26,6 +26,7 @@ from eoi_jax.data.column_roles import STAMPS, as_input, assign_roles
 from eoi_jax.data.deadband import deadband_note
 from eoi_jax.data.equal_stamps import at_distinct_stamps
 from eoi_jax.data.input_holds import STAIRCASE
+from eoi_jax.data.missing_codes import DECLARE, code_text, likely_codes
 from eoi_jax.data.overflow import without_codes
 from eoi_jax.data.readers.delimited import first_word
 from eoi_jax.data.readers.limits import MAX_GIGABYTES
@@ -262,7 +263,8 @@ def _numbers(table: Table, samples: int, codes: list[str]) -> dict[str, Float[np
     Args:
         table: the file.
         samples: rows.
-        codes: to which sentences on codes of an overflow are added.
+        codes: to which sentences on codes of an overflow are added, and on what looks like a code
+            for a missing value.
     """
     numbers = {}
     for key, values in table.columns.items():
@@ -271,8 +273,19 @@ def _numbers(table: Table, samples: int, codes: list[str]) -> dict[str, Float[np
         if values.dtype.kind in "Mm":
             numbers[key] = seconds_from_first(values)
         elif values.dtype.kind in "biuf":
-            numbers[key] = without_codes(np.asarray(values, float)[:, None], (key,), codes)[:, 0]
+            column = without_codes(np.asarray(values, float)[:, None], (key,), codes)[:, 0]
+            likely = likely_codes(column)
+            codes += [
+                _LIKELY.format(code_text(key, column, code), f"{USED_AS_MEASURED}[{code:.12g}].")
+                for code in likely
+            ]
+            numbers[key] = np.where(np.isin(column, likely), np.nan, column)
     return numbers
+
+
+# Behind the name of a column and its code; a draft has its own word on what to do.
+_LIKELY = "{}: likely a code for a missing value, and left out of what is said here. {}"
+USED_AS_MEASURED = f"In an input it is used as measured: {DECLARE} = "
 
 
 def _samples(path: Path, table: Table) -> int:
@@ -322,6 +335,11 @@ def _channel(
     low, high = float(np.min(values[finite])), float(np.max(values[finite]))
     changes = float(np.mean(np.diff(values[finite]) != 0)) if finite.sum() > 1 else 0.0
     channel = Channel(key, kind, unit, "other", "", low, high, missing, changes)
+    if raw.dtype.kind in "iuf":
+        measured = without_codes(np.asarray(raw, float)[:, None], (key,), [])[:, 0]
+        codes = likely_codes(measured)
+        at_code = int(np.sum(np.isin(measured, codes)))
+        channel = replace(channel, codes=codes, missing=max(missing - at_code, 0))
     if low == high:
         return replace(channel, role="constant", why="it never changes")
     if key == clock.column or kind in STAMPS:

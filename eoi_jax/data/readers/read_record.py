@@ -25,6 +25,7 @@ from eoi_jax.data.readers.hdf5 import read_hdf5
 from eoi_jax.data.readers.limits import MAX_GIGABYTES, Allowance
 from eoi_jax.data.readers.long_form import mixed_tags
 from eoi_jax.data.readers.matlab import read_mat
+from eoi_jax.data.readers.missing import Codes, codes_by_column, without_missing
 from eoi_jax.data.readers.stamps import TIMES_OF_DAY, are_days
 from eoi_jax.data.readers.table import Columns, Table, add_columns
 from eoi_jax.data.readers.words import BEYOND, is_grouped
@@ -60,6 +61,7 @@ def read_record(
     mask_faults: bool = True,
     sheet: str | None = None,
     empty_repeats: str | int | Sequence[str | int] = (),
+    missing: Codes | Mapping[str, Codes] | Mapping[int, Codes] = (),
 ) -> Record:
     """A record from named columns of a file.
 
@@ -101,6 +103,9 @@ def read_record(
         sheet: of an Excel file; None: the first that is not empty.
         empty_repeats: columns whose last value is repeated until the next one comes, as in merged
             logs of a slower sensor: a cell with the value of the one before is a missing sample.
+        missing: what stands for no value in the cells of inputs and outputs, before `scale`:
+            ``[-999, "Inp OutRange"]`` in all of them, or by column ``{"outdoor": -999}``. The case
+            of letters does not matter.
 
     Returns:
         The record, with `notes` on the changes made to the data.
@@ -108,9 +113,10 @@ def read_record(
     Raises:
         ValueError: a file that is missing, of an unknown kind or of another kind than its name
             says; a column that is unknown, not numeric or of a different length; no stamps and no
-            sample period; a `scale`, `units`, `unwrap`, `renames` or `empty_repeats` for a column
-            that is not read; a period that is not positive or is smaller than the range of its
-            column; a file that unpacks to more than `max_gigabytes`; and the errors of `Record`.
+            sample period; a `scale`, `units`, `unwrap`, `renames`, `empty_repeats` or `missing` for
+            a column that is not read; a code of `missing` that is no finite number and no word; a
+            period that is not positive or is smaller than the range of its column; a file that
+            unpacks to more than `max_gigabytes`; and the errors of `Record`.
     """
     path = Path(path)
     table = read_table(path, max_gigabytes, sheet)
@@ -125,9 +131,8 @@ def read_record(
     u_columns, y_columns = _column_names("inputs", inputs), _column_names("outputs", outputs)
     present = f"Columns present: {_listed(columns)}."
     check(len(y_columns) > 0, "outputs", "must name at least one column", "none", present)
-    selected = _pick(path, table, clock, u_columns, y_columns)
-    factors = _factors(scale, selected)
-    selected |= {key: selected[key] * factor for key, factor in factors.items()}
+    selected, hints = _pick(path, table, clock, u_columns, y_columns, missing)
+    selected, factors = _scaled(selected, scale)
     count = len(selected[y_columns[0]])
     rows = _rows(slice, count)
     if clock is not None:
@@ -140,7 +145,7 @@ def read_record(
     if clock is not None and clock not in factors:
         _check_seconds(clock, table, selected[clock])
     stamps = float(sample_period or 0) * np.arange(count) if clock is None else selected[clock]
-    hints = _date_notes(clock, table, selected, rows, clock in factors) + _limits(table, selected)
+    hints = [*_date_notes(clock, table, selected, rows, clock in factors), *hints]
     signals, notes = _signals(selected, u_columns + y_columns, stamps, rows, unwrap, empty_repeats)
     record = Record(
         stamps[rows], signals[:, : len(u_columns)], signals[:, len(u_columns) :],
@@ -224,13 +229,14 @@ def _options_by_column(
     return values
 
 
-def _factors(scale: Mapping[Any, Any] | None, picked: Columns) -> dict[str, float]:
-    """The factors of `scale` by column."""
+def _scaled(picked: Columns, scale: Mapping[Any, Any] | None) -> tuple[Columns, dict[str, float]]:
+    """The columns after `scale`, and its factors by column."""
     factors = _options_by_column("scale", scale, picked)
     for key, factor in factors.items():
         good = bool(np.isfinite(factor)) and factor != 0
         check(good, f"scale[{key}]", "must be finite and not zero", factor)
-    return {key: float(factor) for key, factor in factors.items()}
+    factors = {key: float(factor) for key, factor in factors.items()}
+    return picked | {key: picked[key] * factor for key, factor in factors.items()}, factors
 
 
 def _signals(
@@ -253,12 +259,17 @@ def _signals(
 
 
 def _pick(
-    path: Path, table: Table, time: str | None, u_columns: list[str], y_columns: list[str]
-) -> Columns:
-    """The selected columns, as float64 of equal length."""
+    path: Path, table: Table, time: str | None, u_columns: list[str], y_columns: list[str],
+    missing: Codes | Mapping[str, Codes] | Mapping[int, Codes],
+) -> tuple[Columns, list[str]]:  # fmt: skip
+    """The selected columns, as float64 of equal length, and notes on cells that hold no number."""
+    codes, notes = codes_by_column(missing, u_columns + y_columns), list[str]()
     fields = [("time", time)] if time is not None else []
     fields += [("inputs", key) for key in u_columns] + [("outputs", key) for key in y_columns]
-    picked = {key: _numeric(path, key, _column(path, table, field, key)) for field, key in fields}
+    picked = {key: _column(path, table, field, key) for field, key in fields}
+    for key, cells in picked.items():
+        cells = without_missing(key, cells, codes.get(key, ()), notes)
+        picked[key] = _numeric(path, key, cells)
     lengths = {key: len(values) for key, values in picked.items()}
     check(
         len(set(lengths.values())) == 1,
@@ -266,7 +277,7 @@ def _pick(
         f"must be equally long in {path}",
         ", ".join(f"{key} {length}" for key, length in lengths.items()),
     )
-    return picked
+    return picked, [*_limits(table, picked), *notes]
 
 
 def _column(path: Path, table: Table, field: str, key: str) -> np.ndarray:
@@ -319,8 +330,8 @@ def _numeric(path: Path, key: str, values: np.ndarray) -> np.ndarray:
     for row, value in enumerate(values.tolist()):
         if _is_numeric(value):
             continue
-        advice = "Where it stands for no value, or for a line that is no sample, empty the cell "
-        advice += "or leave the line out."
+        advice = "Where it stands for no value, give it by `missing`; where for a line that is no "
+        advice += "sample, leave the line out."
         if is_grouped(str(value)):
             advice = "Write numbers without thousands separators."
         rule = f"must be a numeric column of {path}"
@@ -346,7 +357,8 @@ def words_among_numbers(path: Path, table: Table, share: float = 0.1) -> list[st
             more = f" and {counted(len(rows) - 1, 'cell')} more" if len(rows) > 1 else ""
             sentences.append(
                 f"`{key}` holds numbers but for {column[rows[0]]!r} in {_place(path, rows[0])}"
-                f"{more}: empty the cell, or leave the line out."
+                f"{more}: where it stands for no value, give it by `missing`; else leave the line "
+                "out."
             )
     return sentences
 

@@ -122,7 +122,7 @@ def test_cells_with_different_units_are_refused(tmp_path):
         ('"1,072.51"', "Write numbers without thousands separators"),
         ('"1.072,51"', "Write numbers without thousands separators"),
         ("1'072.51", "Write numbers without thousands separators"),
-        ("Average", "a line that is no sample, empty the cell or leave the line out"),
+        ("Average", "give it by `missing`; where for a line that is no sample, leave the line out"),
     ],
 )
 def test_a_cell_that_is_no_number_comes_with_what_to_do(tmp_path, cell, advice):
