@@ -361,7 +361,7 @@ class DataTable(msgspec.Struct, frozen=True):
         references: columns of the references of [controller], in their order; default: the columns
             that are called as they are. The plant does not get them.
         time: column of time [s]; omitted with `sample_period` [s].
-        scale: factor by column, to convert units.
+        scale: factor by column, to convert units, or ``[factor, offset]``.
         units: unit by column, after scaling.
         unwrap: period by column, after scaling, of counters and angles that start again at the end
             of their range: ``{ encoder = 4096 }``.
@@ -386,7 +386,7 @@ class DataTable(msgspec.Struct, frozen=True):
     references: tuple[str, ...] | None = None
     time: str | None = None
     sample_period: Positive | None = None
-    scale: dict[str, float] = {}
+    scale: dict[str, float | tuple[float, float]] = {}
     units: dict[str, str] = {}
     unwrap: dict[str, Positive] = {}
     empty_repeats: tuple[str, ...] = ()

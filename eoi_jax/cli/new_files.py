@@ -10,6 +10,7 @@ from eoi_jax._checks import check
 from eoi_jax.cli.build import read_file, records_of_table
 from eoi_jax.cli.config import Config, DataTable
 from eoi_jax.data.inspection import inspect
+from eoi_jax.data.readers.conversions import factor_and_offset
 from eoi_jax.data.readers.missing import codes_by_column, without_missing
 from eoi_jax.data.readers.read_record import read_table
 from eoi_jax.data.record import Record
@@ -146,5 +147,6 @@ def _first_outputs(table: DataTable, model: Plant, file: Path) -> dict[str, floa
         advice = "Convert the column, or name the right one."
         agree = converted or not expected or units_agree(unit, expected) is not False
         check(agree, f"FILE[{column}]", rule, f"{unit!r} in {file}", advice)
-        first[name] = float(values[row]) * float(dict(table.scale).get(column, 1.0))
+        factor, offset = factor_and_offset(f"scale[{column}]", table.scale.get(column, 1.0))
+        first[name] = factor * float(values[row]) + offset
     return first

@@ -12,7 +12,12 @@ from eoi_jax.data.cleaning import numbered_names
 from eoi_jax.data.record import Record
 from eoi_jax.models.angles import check_angles
 from eoi_jax.models.plant import Plant
-from eoi_jax.models.units import same_unit, unit_of_rates, units_agree
+from eoi_jax.models.units import (
+    same_unit,
+    temperature_conversion,
+    unit_of_rates,
+    units_agree,
+)
 
 
 def check_records(plant: Plant, records: Record | Sequence[Record]) -> tuple[Record, ...]:
@@ -146,9 +151,13 @@ def _check_unit(field: str, record: Record, label: str, expected: str | None, na
     advice = "Convert the column, or correct the unit."
     check(unit is None or same_unit(unit, expected), field, rule, repr(unit), advice)
     advice = (
-        "Convert the column by `scale`, or name the right one; or give its unit by `units`, if it "
-        "is not that of the file."
+        "Convert the column by `scale` (a temperature by [factor, offset]), or name the right one; "
+        "or give its unit by `units`, if it is not that of the file."
     )
+    pair = temperature_conversion(header, expected)
+    if pair is not None:
+        advice = f"Their zeros differ: give the column the `scale` [{pair[0]:.10g}, {pair[1]:.10g}]"
+        advice += ", a factor and an offset; [1, 0], if it is not in the unit of the file."
     value = f"{header!r} in its file"
     check(units_agree(header, expected) is not False, field, rule, value, advice)
 

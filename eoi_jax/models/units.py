@@ -151,7 +151,9 @@ _WHOLE_SPELLINGS = {
 _GAUGE = re.compile(r"(bar|psi) ?\(?[ag]\)?$")  # absolute, or above that of the air: not grams
 _NOTHING = ("", "-", "–", "—")
 _REMARKS = ("min", "in")  # also the minimum, or an inlet
-_TEMPERATURES = ("°C", "°F", "K")  # of which the zeros differ
+# Size of a degree, and the zero [K]. ISO 80000-5.
+_KELVINS = {"°C": (1.0, 273.15), "°F": (5.0 / 9.0, 459.67 * 5.0 / 9.0), "K": (1.0, 0.0)}
+_TEMPERATURES = tuple(_KELVINS)  # of which the zeros differ
 _TOKEN = re.compile(r"[A-Za-zµ°]+(?:\^-?\d)?|\S")
 
 
@@ -220,6 +222,23 @@ def units_agree(first: str, second: str) -> bool | None:
         return True
     is_remark = any(text in _REMARKS for text in texts) and not alike
     return None if is_remark or "1" in texts else False
+
+
+def temperature_conversion(first: str, second: str) -> tuple[float, float] | None:
+    """Factor and offset from one unit of temperature to another: °C = 5/9 °F - 160/9.
+
+    Args:
+        first: as text.
+        second: as text.
+
+    Returns:
+        None unless both are °C, °F or K.
+    """
+    pair = [_KELVINS.get(_spelled(text)) for text in (first, second)]
+    if pair[0] is None or pair[1] is None:
+        return None
+    (size, zero), (other_size, other_zero) = pair[0], pair[1]
+    return size / other_size, (zero - other_zero) / other_size
 
 
 def unit_of_rates(units: Iterable[str]) -> str:

@@ -169,6 +169,23 @@ def test_planned_inputs_without_outputs_are_predicted_from_a_given_start(folder,
     assert files == {"predict.json", "predict.txt", "prediction.csv", "prediction.png"}
 
 
+def test_a_prediction_reads_offsets_and_codes_as_the_config_says(folder, tmp_path):
+    path = tmp_path / "plan.csv"
+    table = planned(folder, path, (0, 1, 2))
+    changed = CONFIG.replace(
+        "{ height = 0.01 }", "{ height = [0.01, 0.2] }\nmissing = { valve = -999 }"
+    )
+    run = stored(folder, "offset", eoi.load("runs/good/result.npz").plant)
+    (run / "config.toml").write_text(changed)
+    found = answer("predict", run, path, "--output", tmp_path)
+    assert found["initial"]["level"] == [pytest.approx(0.01 * table[0, 2] + 0.2)]
+    (run / "config.toml").write_text(
+        changed.replace("valve = -999", f"height = {table[0, 2]:.17g}")
+    )
+    refused = called("predict", run, path, "--output", tmp_path)
+    assert "nothing for level" in " ".join(refused.output.split())
+
+
 @pytest.mark.parametrize("newest_first", [False, True])
 def test_a_prediction_starts_from_the_first_measured_outputs(folder, tmp_path, newest_first):
     """In the unit of the model: the config's scale is that of centimetres."""

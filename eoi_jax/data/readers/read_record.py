@@ -19,6 +19,7 @@ from eoi_jax._checks import check, check_choice, check_kind, check_positive, cou
 from eoi_jax.data.column_names import in_other_units
 from eoi_jax.data.input_holds import HoldArgument, hold_text, read_hold
 from eoi_jax.data.readers.archive import read_arrays
+from eoi_jax.data.readers.conversions import Scale, compared_columns, scaled_columns
 from eoi_jax.data.readers.delimited import line_of, read_text
 from eoi_jax.data.readers.excel import read_excel
 from eoi_jax.data.readers.hdf5 import read_hdf5
@@ -50,7 +51,7 @@ def read_record(
     outputs: str | int | Sequence[str | int] = (),
     name: str | None = None,
     sample_period: Real | None = None,
-    scale: Mapping[str, Real] | Mapping[int, Real] | None = None,
+    scale: Mapping[str, Scale] | Mapping[int, Scale] | None = None,
     units: Mapping[str, str] | Mapping[int, str] | None = None,
     hold: HoldArgument = "auto",
     burn_in: Real = 0.0,
@@ -84,10 +85,12 @@ def read_record(
         outputs: columns of the outputs.
         name: of the record; default: the file's name.
         sample_period: time between samples [s].
-        scale: ``{column: factor}``, e.g. ``{"tempo_ms": 1e-3}``.
+        scale: ``{column: factor}``, e.g. ``{"tempo_ms": 1e-3}``, or ``{column: [factor, offset]}``,
+            e.g. ``{"T_F": [0.5556, -17.78]}`` from °F to °C.
         units: ``{column: unit}`` after scaling, for tables and figures, and to be those of the
             model; of a column that is neither named here nor scaled, the unit in the file must not
-            be another one of the same quantity.
+            be another one of the same quantity, and no other temperature of one that has a factor
+            without an offset.
         hold: of the inputs, as in `Record`; where they differ, by column. By default what the file
             declares, if it does.
         burn_in: time at the start that is not scored [s], as in `Record`.
@@ -120,7 +123,7 @@ def read_record(
     """
     path = Path(path)
     table = read_table(path, max_gigabytes, sheet)
-    columns, roles = table.columns, (time, sample_period, inputs, outputs)
+    roles = (time, sample_period, inputs, outputs)
     is_declared = table.outputs and all(option in (None, ()) for option in roles)
     if is_declared:
         time, inputs, outputs = table.time, table.inputs, table.outputs
@@ -129,10 +132,9 @@ def read_record(
     _check_clock(time, sample_period)
     clock = None if time is None else _column_name("time", time)
     u_columns, y_columns = _column_names("inputs", inputs), _column_names("outputs", outputs)
-    present = f"Columns present: {_listed(columns)}."
-    check(len(y_columns) > 0, "outputs", "must name at least one column", "none", present)
     selected, hints = _pick(path, table, clock, u_columns, y_columns, missing)
-    selected, factors = _scaled(selected, scale)
+    scales = _options_by_column("scale", scale, selected)
+    selected, factors = scaled_columns(selected, scales)
     count = len(selected[y_columns[0]])
     rows = _rows(slice, count)
     if clock is not None:
@@ -155,8 +157,9 @@ def read_record(
         units={"time" if key == clock else labels[key]: unit for key, unit in unit_names.items()},
         hold=hold, burn_in=burn_in, mask_faults=mask_faults,
     )  # fmt: skip
-    silent = {key: labels[key] for key in labels if key not in {*factors, *unit_names, clock}}
-    record = _with_file_units(record, " ".join([*hints, *hold_notes, *notes]), silent, table)
+    keys = compared_columns((*u_columns, *y_columns), scales, unit_names, table.units)
+    compared = {key: labels[key] for key in keys}
+    record = _with_file_units(record, " ".join([*hints, *hold_notes, *notes]), compared, table)
     return _with_unit_of_time(record, clock, table, factors.get(clock or "", 1.0))
 
 
@@ -229,16 +232,6 @@ def _options_by_column(
     return values
 
 
-def _scaled(picked: Columns, scale: Mapping[Any, Any] | None) -> tuple[Columns, dict[str, float]]:
-    """The columns after `scale`, and its factors by column."""
-    factors = _options_by_column("scale", scale, picked)
-    for key, factor in factors.items():
-        good = bool(np.isfinite(factor)) and factor != 0
-        check(good, f"scale[{key}]", "must be finite and not zero", factor)
-    factors = {key: float(factor) for key, factor in factors.items()}
-    return picked | {key: picked[key] * factor for key, factor in factors.items()}, factors
-
-
 def _signals(
     selected: Columns,
     keys: Sequence[str],
@@ -263,6 +256,8 @@ def _pick(
     missing: Codes | Mapping[str, Codes] | Mapping[int, Codes],
 ) -> tuple[Columns, list[str]]:  # fmt: skip
     """The selected columns, as float64 of equal length, and notes on cells that hold no number."""
+    present = f"Columns present: {_listed(table.columns)}."
+    check(len(y_columns) > 0, "outputs", "must name at least one column", "none", present)
     codes, notes = codes_by_column(missing, u_columns + y_columns), list[str]()
     fields = [("time", time)] if time is not None else []
     fields += [("inputs", key) for key in u_columns] + [("outputs", key) for key in y_columns]

@@ -1,4 +1,5 @@
 import gzip
+import re
 import warnings
 
 import h5py
@@ -203,6 +204,8 @@ def test_stamps_in_another_unit_of_time_need_a_scale(tmp_path, column, unit):
         ({"time": None, "sample_period": -1}, "`sample_period` must be positive .*, got -1"),
         ({"scale": {"x": 2}}, "`scale` must be one of t, u, y, got 'x'"),
         ({"scale": {"u": np.nan}}, r"`scale\[u\]` must be finite and not zero, got nan"),
+        ({"scale": {"y": [1.0, np.inf]}}, r"`scale\[y\]` must have a finite offset, got inf"),
+        ({"scale": {"y": [1.0, 2.0, 3.0]}}, r"`scale\[y\]` must be a factor, or \[factor, offset"),
         ({"scale": {"y": 0.0}}, r"`scale\[y\]` must be finite and not zero, got 0.0"),
         ({"inputs": 1}, "`inputs` must be a column of .*present: t, u, y.*, got `1`"),
         ({"units": {"x": "m"}}, "`units` must be one of t, u, y, got 'x'"),
@@ -413,6 +416,32 @@ def test_rates_per_hour_of_a_model_are_told_where_time_counts_in_seconds(
                       ("y",), units=units)  # fmt: skip
         notes = unit_notes(plant, [record])
         assert any("declared per h, and the records count time in s" in n for n in notes) is is_told
+
+
+@pytest.mark.parametrize(
+    ("unit", "expected", "scale", "pair"),
+    [
+        ("°F", "°C", 5 / 9, (5 / 9, -160 / 9)),
+        ("K", "degC", 1.0, (1.0, -273.15)),
+        ("deg F", "K", 0.5556, (5 / 9, 459.67 * 5 / 9)),
+    ],
+)
+def test_a_factor_alone_moves_no_zero_of_a_temperature(tmp_path, unit, expected, scale, pair):
+    path, key = tmp_path / "room.csv", f"T [{unit}]"
+    path.write_text(f"t,u,{key}\n" + "".join(f"{i},{i % 7},{i}\n" for i in range(40)))
+    plant = Plant(lambda t, x, u, p: p.k * u[0], {"k": 1.0}, 1, ("u",), ("T",),
+                  units={"T": expected})  # fmt: skip
+    said = re.escape(f"differ: give the column the `scale` [{pair[0]:.10g}, {pair[1]:.10g}]")
+    for factors, units in ((None, None), ({key: scale}, None), ({key: scale}, {key: expected})):
+        record = read_record(path, "t", "u", key, scale=factors, units=units)
+        with pytest.raises(ValueError, match=said):
+            check_records(plant, record)
+    record = read_record(path, "t", "u", key, scale={key: pair})
+    assert check_records(plant, record) == (record,)
+    np.testing.assert_allclose(record.outputs[:, 0], pair[0] * np.arange(40) + pair[1])
+    tenths = Plant(lambda t, x, u, p: p.k * u[0], {"k": 1.0}, 1, ("u",), ("T",), units={"T": unit})
+    record = read_record(path, "t", "u", key, scale={key: 0.1})
+    assert check_records(tenths, record) == (record,)
 
 
 @pytest.mark.parametrize("header", HEADERS.values(), ids=HEADERS)
