@@ -27,7 +27,7 @@ from eoi_jax.data.readers.limits import MAX_GIGABYTES, Allowance
 from eoi_jax.data.readers.long_form import mixed_tags
 from eoi_jax.data.readers.matlab import read_mat
 from eoi_jax.data.readers.missing import Codes, codes_by_column, without_missing
-from eoi_jax.data.readers.stamps import TIMES_OF_DAY, are_days
+from eoi_jax.data.readers.stamps import INTERVALS, MIDNIGHTS, TIMES_OF_DAY, are_days
 from eoi_jax.data.readers.table import Columns, Table, add_columns
 from eoi_jax.data.readers.words import BEYOND, is_grouped
 from eoi_jax.data.record import Record
@@ -423,7 +423,8 @@ def _date_notes(
     if clock is None:
         return []
     stamps = picked[clock][rows]
-    said = [note for note in table.notes if note.startswith(f"`{clock}` {TIMES_OF_DAY}")]
+    starts = tuple(f"`{clock}` {text}" for text in (TIMES_OF_DAY, INTERVALS, MIDNIGHTS))
+    said = [note for note in table.notes if note.startswith(starts)]
     if table.columns[clock].dtype.kind != "M":
         in_seconds = scaled or declared_unit(clock, table.units.get(clock, "")) is not None
         return said if in_seconds else [*said, *date_hints(clock, stamps)]

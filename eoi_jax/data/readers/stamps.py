@@ -10,7 +10,8 @@ import numpy as np
 from eoi_jax._checks import counted
 from eoi_jax.data.readers.table import Columns
 
-TIMES_OF_DAY = "holds times of day"  # how a note on such a column goes on behind its name
+# How notes on such columns go on behind their names.
+TIMES_OF_DAY, INTERVALS, MIDNIGHTS = "holds times of day", "holds intervals", "has 24:00"
 _CLOCK = r"\d{1,2}:\d{2}(:\d{2}([.,]\d+)?)?\s*([AaPp][Mm])?"
 # English and German, whole or abbreviated; the first three letters tell.
 _MONTHS = {
@@ -32,6 +33,11 @@ _DATE = re.compile(
     re.IGNORECASE,
 )
 _TIME_OF_DAY = re.compile(rf"{_CLOCK}$")
+# Start and end of an interval, as meters and markets write it: 05.01.2026 00:15 - 00:30.
+_INTERVAL = re.compile(
+    rf"(?P<start>.*{_CLOCK})\s+[-–]\s+(\S+[T\s]+)?{_CLOCK}(?P<zone>{_ZONE})?$", re.IGNORECASE
+)
+_MIDNIGHT = r"(?<![\d:.])24(:00(?::00(?:[.,]0+)?)?)(?![\d:])"  # the end of a day, ISO 8601-1:2004
 _HALF_DAY, _DAY = np.timedelta64(12, "h"), np.timedelta64(1, "D")
 
 
@@ -41,7 +47,14 @@ def is_stamp(cell: str) -> bool:
     Args:
         cell: without spaces around it.
     """
+    cell = _start(cell)
     return bool(_DATE.match(cell) or _TIME_OF_DAY.match(cell))
+
+
+def _start(cell: str) -> str:
+    """A stamp, of an interval that at which it starts."""
+    interval = _INTERVAL.match(cell)
+    return interval["start"] + (interval["zone"] or "") if interval else cell
 
 
 def read_stamps(key: str, values: Any, first: str, notes: list[str]) -> np.ndarray:
@@ -53,6 +66,9 @@ def read_stamps(key: str, values: Any, first: str, notes: list[str]) -> np.ndarr
         first: the first cell, which holds a date or a time of day.
         notes: to which a sentence is appended.
     """
+    if _start(first) != first:
+        notes.append(f"`{key}` {INTERVALS}, such as {first!r}: each counts at its start.")
+        values, first = values.map(lambda cell: _start(str(cell).strip()), "ignore"), _start(first)
     if _DATE.match(first):
         return _dates(key, values, first, notes)
     return _times_of_day(key, values, notes)
@@ -169,10 +185,12 @@ def _dates(key: str, values: Any, first: str, notes: list[str]) -> np.ndarray:
     named = _NAMED.match(first)
     if named:
         texts, first = texts.str.replace(_NAMED, _with_number, regex=True), _with_number(named)
-    candidates = _date_orders(texts, first)
+    texts, is_next_day = _without_midnights(key, texts, notes)
+    first = re.sub(_MIDNIGHT, r"00\1", first)
+    candidates = _date_orders(texts, first, is_next_day)
     if not candidates:
         texts = _without_words(key, texts, _DATE, notes)
-        candidates = _date_orders(texts, first)
+        candidates = _date_orders(texts, first, is_next_day)
     if candidates:  # the order with fewest reversals and the shortest span
         _, _, day_first, stamps = min(candidates, key=lambda candidate: candidate[:3])
         year_first = bool(re.match(r"\d{4}", first))
@@ -235,7 +253,19 @@ def _with_offsets(key: str, texts: Any, notes: list[str]) -> Any:
     return texts.str.replace(_ZONE, "", regex=True)
 
 
-def _date_orders(texts: Any, first: str) -> list[tuple[int, Any, bool, Any]]:
+def _without_midnights(key: str, texts: Any, notes: list[str]) -> tuple[Any, np.ndarray | None]:
+    """The texts with 00:00 in place of 24:00, and where that is of the next day; None: nowhere."""
+    midnights = texts.str.contains(_MIDNIGHT).fillna(False).to_numpy(bool)
+    if not midnights.any():
+        return texts, None
+    count = counted(int(midnights.sum()), "time")
+    notes.append(f"`{key}` {MIDNIGHTS} {count}: the end of a day, read as 00:00 of the next one.")
+    return texts.str.replace(_MIDNIGHT, r"00\1", regex=True), midnights
+
+
+def _date_orders(
+    texts: Any, first: str, is_next_day: np.ndarray | None
+) -> list[tuple[int, Any, bool, Any]]:
     """Reversals of time, span and stamps with each order of day and month that fits all texts."""
     import pandas as pd
 
@@ -249,6 +279,8 @@ def _date_orders(texts: Any, first: str) -> list[tuple[int, Any, bool, Any]]:
                     stamps = pd.to_datetime(texts, dayfirst=day_first, format=form, utc=True)
             except (ValueError, TypeError):
                 continue
+            if is_next_day is not None:
+                stamps += pd.to_timedelta(is_next_day.astype(int), unit="D")
             reversals = int((stamps.diff().dt.total_seconds() < 0).sum())
             candidates.append((reversals, stamps.max() - stamps.min(), day_first, stamps))
             break

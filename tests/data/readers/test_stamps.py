@@ -165,3 +165,44 @@ def test_seconds_and_signals_are_no_times_of_day(tmp_path, name, stamps):
     path = tmp_path / "run.csv"
     path.write_text("\n".join([f"{name},y", *(f"{t},{k % 5}" for k, t in enumerate(stamps))]))
     np.testing.assert_array_equal(read_table(path).columns[name], stamps)
+
+
+QUARTERS = pd.date_range("2026-01-05 00:15", periods=400, freq="15min")
+
+
+@pytest.mark.parametrize("form", ["%d.%m.%Y;%H:%M", "%d.%m.%Y %H:%M", "%Y-%m-%dT%H:%M:%S"])
+@pytest.mark.parametrize("separator", [";", ","])
+def test_24_00_is_the_end_of_its_day(tmp_path, form, separator):
+    form = form.replace(";", separator)
+    stamps = [
+        (day - pd.Timedelta("1h")).strftime(form).replace("23:00", "24:00")
+        if (day.hour, day.minute) == (0, 0)
+        else day.strftime(form)
+        for day in QUARTERS
+    ]
+    path, head = tmp_path / "meter.csv", "Date;Time" if separator in form else "Time"
+    lines = [f"{stamp}{separator}{k % 7}" for k, stamp in enumerate(stamps)]
+    path.write_text("\n".join([f"{head};y".replace(";", separator), *lines]))
+    table = read_table(path)
+    np.testing.assert_array_equal(table.columns["Time"], QUARTERS.to_numpy())
+    record = read_record(path, "Time", outputs="y")
+    assert record.sample_period == 900.0
+    if ";" not in form and "," not in form:
+        assert "`Time` has 24:00 4 times: the end of a day, read as 00:00" in record.notes[-1]
+
+
+@pytest.mark.parametrize("dash", ["-", "–"])
+@pytest.mark.parametrize("end", ["%H:%M", "%d.%m.%Y %H:%M"])
+@pytest.mark.parametrize(("zone", "separator"), [("", ","), (" CET", ";")])
+def test_an_interval_counts_at_its_start(tmp_path, dash, end, zone, separator):
+    ends = QUARTERS + pd.Timedelta("15min")
+    pairs = zip(QUARTERS, ends, strict=True)
+    stamps = [f"{a:%d.%m.%Y %H:%M} {dash} {b.strftime(end)}{zone}" for a, b in pairs]
+    path = tmp_path / "market.csv"
+    lines = [f"{stamp}{separator}{k % 7}{separator}{k % 5}" for k, stamp in enumerate(stamps)]
+    path.write_text("\n".join(["Time,u,y".replace(",", separator), *lines]))
+    expected = QUARTERS - pd.Timedelta("1h" if zone else "0h")
+    np.testing.assert_array_equal(read_table(path).columns["Time"], expected.to_numpy())
+    record = read_record(path, "Time", "u", "y")
+    said = f"`Time` holds intervals, such as '{stamps[0]}': each counts at its start."
+    assert any(said in note for note in record.notes)
