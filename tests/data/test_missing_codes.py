@@ -87,7 +87,7 @@ def test_declared_words_are_missing_beside_known_ones(tmp_path):
     path = tmp_path / "run.csv"
     cells = ["Sensor 7?!" if k == 9 else "Bad" if k == 12 else f"{21 + 0.5 * k}" for k in range(40)]
     path.write_text("t,u,y\n" + "".join(f"{k},{k % 7},{cell}\n" for k, cell in enumerate(cells)))
-    with pytest.raises(ValueError, match="no value, give it by `missing`"):
+    with pytest.raises(ValueError, match="no value of a signal, give it by `missing`"):
         eoi.read_record(path, "t", "u", "y")
     with pytest.warns(eoi.RecordWarning, match="2 of 40 samples are not finite"):
         record = eoi.read_record(path, "t", "u", "y", missing={"y": "sensor 7?!"})

@@ -325,8 +325,8 @@ def _numeric(path: Path, key: str, values: np.ndarray) -> np.ndarray:
     for row, value in enumerate(values.tolist()):
         if _is_numeric(value):
             continue
-        advice = "Where it stands for no value, give it by `missing`; where for a line that is no "
-        advice += "sample, leave the line out."
+        advice = "Where it stands for no value of a signal, give it by `missing`; where for a line "
+        advice += "that is no sample, leave the line out."
         if is_grouped(str(value)):
             advice = "Write numbers without thousands separators."
         rule = f"must be a numeric column of {path}"
@@ -352,8 +352,8 @@ def words_among_numbers(path: Path, table: Table, share: float = 0.1) -> list[st
             more = f" and {counted(len(rows) - 1, 'cell')} more" if len(rows) > 1 else ""
             sentences.append(
                 f"`{key}` holds numbers but for {column[rows[0]]!r} in {_place(path, rows[0])}"
-                f"{more}: where it stands for no value, give it by `missing`; else leave the line "
-                "out."
+                f"{more}: where it stands for no value of a signal, give it by `missing`; else "
+                "leave the line out."
             )
     return sentences
 

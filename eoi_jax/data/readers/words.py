@@ -16,11 +16,17 @@ _SWITCHES = (
 # What historians, meters and home automation write where a sensor gave nothing.
 _NO_VALUE = {
     "arc off-line", "bad", "bad data", "bad input", "bad quality", "calc failed", "comm fail",
-    "configure", "fault", "i/o timeout", "intf shut", "invalid", "no data", "no result",
-    "no sample", "no value", "nodata", "not available", "not connect", "offline", "over range",
-    "overflow", "overrange", "pt created", "scan off", "scan timeout", "shutdown", "timeout",
-    "unavailable", "under range", "unknown",
+    "configure", "error", "fault", "i/o timeout", "inp outrange", "intf shut", "invalid",
+    "missing", "no data", "no result", "no sample", "no value", "nodata", "not available",
+    "not connect", "offline", "over range", "overflow", "overrange", "pt created", "scan off",
+    "scan timeout", "shutdown", "timeout", "unavailable", "under range", "unknown", "<null>",
+    "fehler", "fühlerbruch", "kein wert", "keine daten", "messfehler", "nicht verfügbar",
+    "sensorfehler", "störung", "überlauf", "ungültig", "unbekannt",
 }  # fmt: skip
+# Not a number and infinity of the C library of Windows, and error codes of a historian with a text.
+_NO_NUMBER = re.compile(
+    r"-?nan\((ind|snan)\)$|[+-]?1\.#(inf|ind|s?nan|qnan)\d*$|\[-\d{2,6}\] \S.*$"
+)
 _MARKS = re.compile(r"[-–*?#.=_]+$")
 BEYOND = "is beyond a limit of detection"  # behind the name of a column
 # What laboratories write for a value beyond a limit of detection or of quantification.
@@ -106,7 +112,7 @@ def is_grouped(text: str) -> bool:
 
 
 def _is_mark(word: str) -> bool:
-    return word in _NO_VALUE or bool(_MARKS.match(word))
+    return word in _NO_VALUE or bool(_MARKS.match(word) or _NO_NUMBER.match(word))
 
 
 def _is_number(text: str) -> bool:

@@ -28,7 +28,14 @@ def test_a_switch_that_never_moves_is_one_too(tmp_path):
     np.testing.assert_array_equal(table.columns["u"], np.zeros(N))
 
 
-@pytest.mark.parametrize("mark", ["unavailable", "Bad Input", "---", "***", "No Data"])
+MARKS = (
+    "unavailable", "Bad Input", "---", "***", "No Data", "Inp OutRange", "<null>", "Error",
+    "missing", "Störung", "ungültig", "kein Wert", "Sensorfehler", "1.#INF", "-1.#IND00",
+    "nan(ind)", "[-11059] No Good Data For Calculation",
+)  # fmt: skip
+
+
+@pytest.mark.parametrize("mark", MARKS)
 def test_marks_of_no_value_are_not_measured_and_said(tmp_path, mark):
     cells = [mark if k in (7, 20) else f"{0.5 * k}" for k in range(N)]
     path = written(tmp_path / "run.csv", cells)
@@ -69,7 +76,9 @@ def test_limits_with_decimal_commas(tmp_path):
     assert np.sum(np.isnan(read_table(path).columns["u"])) == 9
 
 
-@pytest.mark.parametrize("word", ["<high", "blq?x", "nde", "lode"])
+@pytest.mark.parametrize(
+    "word", ["<high", "blq?x", "nde", "lode", "20.3 ?", "OL", "open", "[12] on"]
+)
 def test_what_is_no_limit_stays_text(tmp_path, word):
     path = written(tmp_path / "run.csv", [word if k == 9 else f"{k}" for k in range(N)])
     assert read_table(path).columns["u"].dtype.kind == "O"
@@ -122,7 +131,7 @@ def test_cells_with_different_units_are_refused(tmp_path):
         ('"1,072.51"', "Write numbers without thousands separators"),
         ('"1.072,51"', "Write numbers without thousands separators"),
         ("1'072.51", "Write numbers without thousands separators"),
-        ("Average", "give it by `missing`; where for a line that is no sample, leave the line out"),
+        ("Average", "give it by `missing`; where for a line that is no sample, leave the line"),
     ],
 )
 def test_a_cell_that_is_no_number_comes_with_what_to_do(tmp_path, cell, advice):
