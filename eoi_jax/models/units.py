@@ -195,7 +195,7 @@ def units_agree(first: str, second: str) -> bool | None:
 
     False for other units of one quantity (mm and cm, °F and °C) and for another quantity (kW and
     %). Where radians may count as 1, or 1/min as revolutions, they agree. "" and "-" say nothing
-    and agree with any unit.
+    and agree with any unit, but "-" may stand for a fraction of which % is another one.
 
     Args:
         first: as text.
@@ -203,9 +203,12 @@ def units_agree(first: str, second: str) -> bool | None:
 
     Returns:
         None where it is not known: one of the texts is not understood, may be a remark (min for a
-        minimum) or is 1, which may stand for any fraction.
+        minimum) or is 1, or - beside %, which may stand for any fraction.
     """
     texts = _spelled(first), _spelled(second)
+    is_share = any(getattr(_read(text), "powers", {}).keys() == {"%"} for text in texts)
+    if is_share and any(text in _NOTHING[1:] for text in texts):
+        return None
     if any(text in _NOTHING for text in texts) or same_unit(first, second):
         return True
     if all(text in _TEMPERATURES for text in texts):

@@ -141,7 +141,10 @@ def test_units_that_differ_stay_different(first, second):
         ("raw", "V", None),
         ("counts", "counts", True),
         ("%", "1", None),
-        ("%", "-", True),
+        ("%", "-", None),
+        ("-", "ppm", None),
+        ("-", "V", True),
+        ("bar", "bar(g)", None),
         ("", "V", True),
     ],
 )

@@ -352,13 +352,21 @@ def _are_units(cells: list[str]) -> bool:
     )
 
 
-_BRACKETED = re.compile(r".*\S\s*[\[(]\s*([^\[\]()]{1,12}?)\s*[\])]$")
+_BRACKETED = re.compile(r"(.*\S)(\s*)[\[(]\s*([^\[\]()]{1,12}?(?:\([ag]\))?)\s*[\])]$")
 
 
 def _named_units(keys: Sequence[str]) -> dict[str, str]:
-    """Units within the names: ``voltage [V]``, ``angle (rad)``."""
-    matches = {key: _BRACKETED.match(key) for key in keys}
-    return {key: m[1] for key, m in matches.items() if m and not m[1].isdigit()}
+    """Units within the names: ``voltage [V]``, ``angle (rad)``, ``p [bar(g)]``.
+
+    A number is none but 1 behind a space, where no further name has another one there.
+    """
+    matches = {key: match for key in keys if (match := _BRACKETED.match(key))}
+    numbered = Counter(match[1] for match in matches.values() if match[3].isdigit())
+    return {
+        key: match[3]
+        for key, match in matches.items()
+        if not match[3].isdigit() or ((match[3], numbered[match[1]]) == ("1", 1) and match[2])
+    }
 
 
 def _score(lines: Sequence[str], separator: str) -> tuple[float, bool]:

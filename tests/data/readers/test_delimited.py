@@ -80,6 +80,21 @@ def test_units_come_from_their_row_or_from_the_names(tmp_path):
     assert read_table(path).units == {"t [ms]": "ms", "u (V)": "V"}
 
 
+@pytest.mark.parametrize(
+    ("names", "units"),
+    [
+        (("valve [1]", "p [bar(g)]"), {"valve [1]": "1", "p [bar(g)]": "bar(g)"}),
+        (("motor [1]", "motor [2]"), {}),  # their numbers
+        (("q[1]", "y"), {}),
+        (("q [3]", "y"), {}),
+    ],
+)
+def test_a_number_in_brackets_is_a_unit_if_it_may_be_none_of_several(tmp_path, names, units):
+    path = tmp_path / "run.csv"
+    path.write_text(",".join(("t", *names)) + "\n" + rows())
+    assert read_table(path).units == units
+
+
 def test_skipped_lines_and_decimal_commas_are_said(tmp_path):
     path = tmp_path / "run.csv"
     path.write_text("Logger 3000\n\nt;u;y\n" + rows(";", comma=True))
