@@ -141,7 +141,7 @@ def predict(
         _report_stage(progress, "simulation")
         names = {"hold": record.hold, "name": record.name}
         first = {name: values[0] for name, values in given.items()}
-        internal = internal_starts(plant, first, "--initial", "Add --initial {}=VALUE.")
+        internal = internal_starts(plant, first, "--initial", _FREE_START)
         prediction = simulate(plant, record.time, record.inputs, start, internal=internal, **names)
     notes = _prediction_notes(plant, record, start)
     begun = [f"{name} {first[name]:g}" for name in free_start_names(plant)]
@@ -155,6 +155,14 @@ def predict(
     parts = (prediction, summary, text)
     write_folder(folder, lambda draft: run_folder.write_prediction(draft, *parts))
     return Outcome(summary, text, folder)
+
+
+# A free run of `validate` estimates what no one knows of the start.
+_HISTORY = (
+    "If it is not known, put rows with measured outputs before the plan, leave the outputs of the "
+    "plan empty, and call `eoi validate`: it estimates the start from them."
+)
+_FREE_START = f"Add --initial {{}}=VALUE. {_HISTORY}"
 
 
 def _given_starts(words: Sequence[str], plant: Plant) -> dict[str, tuple[float, ...]]:
@@ -198,7 +206,7 @@ def _starts(
         values = ", ".join(f"{value:.6g}" for value in starts[name] if value is not None)
         texts.append(f"{name} {values}{f' {unit}' if unit else ''} ({source})")
     rule = "must give the outputs at the start where the file does not measure them"
-    advice = f"Add {' '.join(f'--initial {name}=VALUE' for name in missing)}."
+    advice = f"Add {' '.join(f'--initial {name}=VALUE' for name in missing)}. {_HISTORY}"
     check(not missing, "--initial", rule, f"nothing for {', '.join(missing)}", advice)
     return starts, ", ".join(texts) or "their states, as the model declares these"
 

@@ -206,7 +206,10 @@ def test_a_free_start_of_an_internal_state_must_be_given(folder, tmp_path):
     )  # fmt: skip
     stored(folder, "free", plant)
     where = "predict", "runs/free", tmp_path / "plan.csv", "--output", tmp_path, "--initial"
-    for word, message in (("level=0.1", "must give store"), ("store=1,2", "must be NAME=VALUE")):
+    for word, message in (
+        ("level=0.1", "must give store"), ("level=0.1", "put rows with measured outputs before"),
+        ("store=1,2", "must be NAME=VALUE"),
+    ):  # fmt: skip
         refused = called(*where, word)
         assert refused.exit_code != 0
         assert message in " ".join(refused.output.split())
