@@ -9,7 +9,8 @@ _INPUT = frozenset((
     "u", "in", "input", "inputs", "volt", "volts", "voltage", "cmd", "command", "pwm", "duty",
     "torque", "tau", "force", "ref", "reference", "referencia", "target", "setpoint", "drive",
     "control", "throttle", "pump", "valve", "heater", "power", "demand", "ctrl", "act",
-    "actuator", "current", "v", "vir", "steer", "excitation",
+    "actuator", "current", "v", "vir", "steer", "excitation", "ventil", "stellgrad", "pumpe",
+    "ventilstellung", "vanne", "válvula", "valvola",
 ))  # fmt: skip
 # Those that a plant without input has as its output: of a capacitor, a muscle, a solar cell.
 _EITHER = frozenset((
@@ -40,6 +41,7 @@ _SURROUNDINGS = frozenset((
 ))  # fmt: skip
 # The same as the first part of one word: Außentemperatur, Globalstrahlung.
 _AROUND = ("aussen", "außen", "umgebung", "sonnen", "wetter", "global", "outdoor", "outside")
+_TAG = re.compile(r"^[A-Z]{1,4}[- ]?\d{2,}[A-Z]?\s+(?=[^\W\d])")
 _WORD = re.compile(r"[A-ZÀ-ÖØ-Þ]?[a-zµß-öø-ÿ]+|[A-ZÀ-ÖØ-Þ]+")  # letters of Latin-1
 _DEGREES = frozenset(("°C", "degC", "K", "°F", "degF"))
 _TEMPERATURES = frozenset((
@@ -162,7 +164,8 @@ def role_of_name(name: str) -> str:
     """
     if _is_sent(name):
         return "input"
-    for word in _words(name):
+    # Behind the tag of an instrument, Y-101, its letter says less than the words.
+    for word in _words(_TAG.sub("", name)) or _words(name):
         port = _PORT.fullmatch(word)
         if port:
             return f"{port[1]}put"

@@ -490,6 +490,14 @@ def test_a_file_without_an_output_gets_no_draft(tmp_path):
     assert [path.name for path in tmp_path.iterdir()] == ["run.csv"]
 
 
+@pytest.mark.parametrize(
+    "name", ["Y-101 Ventil [%]", "YV 203A Stellgrad", "Mischer Ventilstellung", "FV-12 valve"]
+)
+def test_a_valve_is_an_input_whatever_letter_its_tag_has(name):
+    assert role_of_name(name) == "input"
+    assert role_of_name("Y-101") == "output"
+
+
 def test_symbols_of_the_drafted_model_are_the_last_part_of_column_names(tmp_path):
     """As tables of several devices name them: device, signal, unit."""
     written(tmp_path / "run.csv", **{"rig.time [s]": T, "drive.force [N]": U, "arm/angle (rad)": Y})
