@@ -330,7 +330,7 @@ def _signals_of(plant: Plant, placed: Placed) -> str:
         return "the product of " + " and ".join(signals[key] for key in effect.factors)
     if isinstance(effect, InputProduct):
         return "the product of " + " and ".join(signal.symbol for signal in effect.signals)
-    return effect.label.replace("_", " ")
+    return effect.words
 
 
 def answered(

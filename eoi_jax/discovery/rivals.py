@@ -127,17 +127,21 @@ def experiments(plant: Plant, added: Sequence[Added], rival_names: Sequence[str]
 
 def _experiments(plant: Plant, kinds: Iterable[str]) -> str:
     experiment = _EXPERIMENT if plant.inputs else _WITHOUT_INPUTS
-    return " ".join(experiment[kind] for kind in sorted(kinds) if kind in experiment)
+    moves = _MECHANICAL.intersection(plant.kinds.values())
+    laws = "springs part" if moves else "laws of the output part"
+    sentences = (experiment[kind] for kind in sorted(kinds) if kind in experiment)
+    return " ".join(sentences).format(laws)
 
 
+_MECHANICAL = frozenset(("position", "speed", "acceleration", "force", ""))  # "": not known
 _EXPERIMENT = {
-    "y": "Record the same input at two and at half the amplitude: then springs part.",
+    "y": "Record the same input at two and at half the amplitude: then {}.",
     "v": "Record slow and fast motion of one amplitude: friction laws then part.",
     "u": "Record the same motion with larger and smaller inputs, and both signs of them.",
     "t": "Record steps and fast changes of the input, and the same input at another time.",
 }
 _WITHOUT_INPUTS = {
-    "y": "Record runs that start twice and half as far from rest: then springs part.",
+    "y": "Record runs that start twice and half as far from rest: then {}.",
     "v": "Record runs that start slow and runs that start fast: friction laws then part.",
     "t": "Record runs from other starting values, and from the same ones at another time.",
 }

@@ -48,7 +48,10 @@ def remaining_figure(result: Remaining, opacity: float = 0.35) -> Any:
             alpha=1.0 if significant else opacity,
             label="significant" if significant else "not significant",
         )
-    names = [_label(result, candidate).replace("_", " ") for candidate in candidates]
+    names = [
+        " + ".join(at.effect.words + place_text(result.plant, at) for at in candidate.placed)
+        for candidate in candidates
+    ]
     axes.set_yticks(np.arange(len(candidates)), [shortened(name) for name in names])
     axes.invert_yaxis()
     axes.grid(visible=False, axis="y")

@@ -15,6 +15,8 @@ from eoi_jax.discovery.probability import Contest, Standing, from_contests, from
 from eoi_jax.discovery.result import Rival
 from eoi_jax.discovery.rivals import experiments
 from eoi_jax.models.augmented import place
+from eoi_jax.models.effects.products import InputProduct
+from eoi_jax.models.effects.signals import Signal
 from eoi_jax.refinement.refine import refine_once
 from eoi_jax.simulation.validate import Validation
 
@@ -334,3 +336,13 @@ def test_the_experiment_that_is_advised_is_one_that_the_plant_allows():
         assert not any(absent in sentence for sentence in sentences)
         assert bool(sentences[-1]) is bool(plant.inputs)
     assert experiments(free, [], []) == ""
+    tank = eoi.Plant(lambda t, x, u, p: u - p.a * x.y[0], {"a": 1.0}, 1, outputs=("level",))
+    said = [experiments(plant, [], ["power_loss"]) for plant in (driven, tank)]
+    assert [text.endswith("then springs part.") for text in said] == [True, False]
+    assert said[1].endswith("then laws of the output part.")
+
+
+def test_signals_keep_their_underscores_in_sentences():
+    product = InputProduct((Signal("load", 0, None), Signal("T_buf", 1)))
+    assert "T_buf" in product.words
+    assert effects.CoulombFriction().words == "coulomb friction"

@@ -244,6 +244,11 @@ class AbstractEffect(ABC):
         return labelled(self.name, self.form)
 
     @property
+    def words(self) -> str:
+        """The label in a sentence: ``end stop (above)``; signals in its form keep their names."""
+        return labelled(self.name.replace("_", " "), self.form)
+
+    @property
     def parameters(self) -> tuple[Parameter, ...]:
         """Gains, then shapes."""
         return self.gains + self.shapes
