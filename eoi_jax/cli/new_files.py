@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
 import msgspec
 import numpy as np
@@ -38,6 +39,29 @@ def records_of_files(config: Config, model: Plant, files: Sequence[Path]) -> lis
     parts = {} if table.time is None else {name: _parts(name, table) for name in table.files}
     table = msgspec.structs.replace(table, parts=parts)
     return records_of_table(table, "data", model, config.controller, Path(), None)
+
+
+def dates_of_zero(config: Config, model: Plant, files: Sequence[Path]) -> list[tuple[str, Any]]:
+    """The column of time of each record of `records_of_files`, and the date of its time zero.
+
+    Args:
+        config: the tables.
+        model: the plant.
+        files: paths of data files.
+
+    Returns:
+        A name and a `numpy.datetime64` for each record, in UTC where the file has offsets; an empty
+        name where stamps are no dates, or have a `scale`.
+    """
+    table, dates = _table_of_files(config, model, files, None), list[tuple[str, Any]]()
+    clock = table.time or ""
+    for name in table.files:
+        stamps = read_table(Path(name), table.max_gigabytes, table.sheet).columns.get(clock)
+        date = None
+        if stamps is not None and stamps.dtype.kind == "M" and clock not in table.scale:
+            date = stamps[np.argmin(np.isnat(stamps))]
+        dates += [(clock if date is not None else "", date)] * max(len(_parts(name, table)), 1)
+    return dates
 
 
 def planned_inputs(config: Config, model: Plant, file: Path) -> tuple[Record, dict[str, float]]:

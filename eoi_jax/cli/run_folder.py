@@ -303,11 +303,12 @@ def write_free_runs(
     runs: Sequence[tuple[str, Validation]],
     summary: dict[str, Any],
     text: str,
+    dates: Sequence[tuple[str, Any]] = (),
 ) -> None:
     """``<name>.json``, ``<name>.txt``, and for each record ``<name>.png``, ``correlation.png``.
 
     Of a single model also ``prediction.csv``: time [s] and outputs of its free run at all samples,
-    measured or not; empty where an input is unknown.
+    measured or not; empty where an input is unknown; and the dates of the file, in its last column.
 
     Args:
         folder: an empty folder.
@@ -315,6 +316,7 @@ def write_free_runs(
         runs: name of each model, and its free runs on the same records.
         summary: of `validation_summary` or `comparison_summary`.
         text: its table.
+        dates: of time zero of each record, with the names of their columns, as of `dates_of_zero`.
     """
     _write_json(folder / f"{name}.json", summary)
     _write(folder / f"{name}.txt", text + "\n")
@@ -329,10 +331,13 @@ def write_free_runs(
             result, path = runs[0][1], folder / f"prediction{suffix}.csv"
             channels = list(zip(result.outputs, result.units, strict=True))
             prediction = result.predictions[i]
-            _write_columns(path, prediction, channels, prediction.known_outputs)
+            date = dates[i] if dates else ("", None)
+            _write_columns(path, prediction, channels, prediction.known_outputs, date)
 
 
-def write_prediction(folder: Path, record: Record, summary: dict[str, Any], text: str) -> None:
+def write_prediction(
+    folder: Path, record: Record, summary: dict[str, Any], text: str, date: tuple[str, Any]
+) -> None:
     """`predict.json`, `predict.txt`, `prediction.csv` and `prediction.png`.
 
     Args:
@@ -340,24 +345,38 @@ def write_prediction(folder: Path, record: Record, summary: dict[str, Any], text
         record: of `simulate`.
         summary: of `prediction_summary`.
         text: what was predicted, and from where.
+        date: name of the column of time, and the date of time zero, as of `dates_of_zero`.
     """
     _write_json(folder / "predict.json", summary)
     _write(folder / "predict.txt", text + "\n")
     columns = np.column_stack([record.inputs, record.outputs])
     names = (*record.input_names, *record.output_names)
     pairs = [(name, record.units.get(name, "")) for name in names]
-    _write_columns(folder / "prediction.csv", record, pairs, columns)
+    _write_columns(folder / "prediction.csv", record, pairs, columns, date)
     series = prediction_series(record)
     save_figure(folder / "prediction.png", partial(time_series_figure, series))
 
 
 def _write_columns(
-    path: Path, record: Record, channels: Sequence[tuple[str, str]], columns: np.ndarray
+    path: Path,
+    record: Record,
+    channels: Sequence[tuple[str, str]],
+    columns: np.ndarray,
+    date: tuple[str, Any],
 ) -> None:
-    """Time of a record and columns (N, n), whose names and units are `channels`; empty for NaN."""
+    """Time of a record and columns (N, n), whose names and units are `channels`; empty for NaN.
+
+    Behind them the stamps as dates, if the file has dates.
+    """
     names = ["time [s]", *(f"{name} [{unit}]" if unit else name for name, unit in channels)]
     rows = np.column_stack([record.time, columns])
-    lines = (["" if np.isnan(value) else f"{value:.10g}" for value in row] for row in rows)
+    lines = [["" if np.isnan(value) else f"{value:.10g}" for value in row] for row in rows]
+    key, zero = date
+    if key:
+        elapsed = np.rint(1e3 * record.time).astype("timedelta64[ms]")
+        stamps = np.datetime_as_string(zero.astype("datetime64[ms]") + elapsed)
+        names.append(key)
+        lines = [[*line, stamp] for line, stamp in zip(lines, stamps.tolist(), strict=True)]
     with path.open("w", encoding="utf-8", errors="backslashreplace", newline="") as file:
         csv.writer(file).writerows([names, *lines])
 

@@ -10,7 +10,7 @@ from eoi_jax._atomic import write_folder
 from eoi_jax._checks import check, check_choice
 from eoi_jax.cli import build, run_folder
 from eoi_jax.cli.config import Config, LawTable, load
-from eoi_jax.cli.new_files import planned_inputs, records_of_files
+from eoi_jax.cli.new_files import dates_of_zero, planned_inputs, records_of_files
 from eoi_jax.cli.summary import comparison_summary, prediction_summary, validation_summary
 from eoi_jax.cli.terminal import Outcome, ProgressCallback
 from eoi_jax.compiler import jax_setup
@@ -75,7 +75,8 @@ def validate(
     text = "\n\n".join([text, *(f"Note: {note}" for note in notes)])
     summary = validation_summary(settings.name, run, full_runs, windows, rows, notes)
     _report_stage(progress, "drawing")
-    parts = ("validate", [("free run", full_runs)], summary, text)
+    dates = dates_of_zero(settings, plant, files)
+    parts = ("validate", [("free run", full_runs)], summary, text, dates)
     write_folder(folder, lambda draft: run_folder.write_free_runs(draft, *parts))
     return Outcome(summary, text, folder)
 
@@ -152,7 +153,7 @@ def predict(
     text = "\n\n".join([text, *(f"Note: {note}" for note in notes)])
     summary = prediction_summary(settings.name, run, record, start, notes)
     _report_stage(progress, "drawing")
-    parts = (prediction, summary, text)
+    parts = (prediction, summary, text, *dates_of_zero(settings, plant, [file]))
     write_folder(folder, lambda draft: run_folder.write_prediction(draft, *parts))
     return Outcome(summary, text, folder)
 

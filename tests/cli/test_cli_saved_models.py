@@ -169,6 +169,25 @@ def test_planned_inputs_without_outputs_are_predicted_from_a_given_start(folder,
     assert files == {"predict.json", "predict.txt", "prediction.csv", "prediction.png"}
 
 
+@pytest.mark.parametrize(("offset", "order"), [("", 1), ("+01:00", 1), ("", -1)])
+def test_a_prediction_has_the_dates_of_its_file(folder, tmp_path, offset, order):
+    """In UTC where the file has offsets."""
+    path = tmp_path / "plan.csv"
+    table = planned(folder, path, (0, 1, 2))
+    dates = np.datetime64("2026-01-05T06:00", "ms") + np.rint(1e3 * table[:, 0]).astype(int)
+    rows = zip(dates.tolist(), table.tolist(), strict=True)
+    lines = [f"{date.isoformat()}{offset},{row[1]},{row[2]}" for date, row in rows]
+    path.write_text("\n".join(["t,valve,height", *lines[::order]]))
+    for command, name in (("predict", "good.predict"), ("validate", "good.validate")):
+        done = called(command, "runs/good", path, "--output", tmp_path)
+        assert done.exit_code == 0, done.output
+        head, *rows = (tmp_path / name / "prediction.csv").read_text().splitlines()
+        assert head.startswith("time [s],")
+        assert head.endswith(",t")
+        written = np.array([row.rpartition(",")[2] for row in rows], "datetime64[ms]")
+        np.testing.assert_array_equal(written, dates - np.timedelta64(1 if offset else 0, "h"))
+
+
 def test_a_prediction_reads_offsets_and_codes_as_the_config_says(folder, tmp_path):
     path = tmp_path / "plan.csv"
     table = planned(folder, path, (0, 1, 2))
