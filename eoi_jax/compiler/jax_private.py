@@ -163,6 +163,14 @@ def product_part(params: dict[str, Any], operands: Sequence[Any]) -> tuple[Close
     return closed_jaxpr(params["jaxprs"].matvec), list(own), list(right)
 
 
+def results_of(equation: Any, operands: Sequence[Any]) -> list[Any]:
+    """What an equation gives for operands; also while JAX traces."""
+    bound = equation.primitive.get_bind_params(equation.params)
+    functions, params = bound if isinstance(bound, tuple) else ((), bound)  # before JAX 0.10
+    results = equation.primitive.bind(*functions, *operands, **params)
+    return list(results) if equation.primitive.multiple_results else [results]
+
+
 def branches_of(params: dict[str, Any]) -> Sequence[ClosedJaxpr]:
     """The branches of an equation of `lax.cond` or `lax.switch`."""
     return [closed_jaxpr(branch) for branch in params["branches"]]

@@ -27,8 +27,8 @@ from eoi_jax.estimation.lowpass import DiscreteFilter
 from eoi_jax.estimation.observers.observer import AbstractObserver
 from eoi_jax.models.plant import Plant, State
 from eoi_jax.models.velocities import velocity_rows
-from eoi_jax.simulation.integrator import rate_of
 from eoi_jax.simulation.known_direction import turn
+from eoi_jax.simulation.rates import rate_of
 from eoi_jax.simulation.runge_kutta import runge_kutta_step
 
 

@@ -26,6 +26,7 @@ from eoi_jax.refinement.fit import Fit, faint_parameters, log_cost, rms
 from eoi_jax.refinement.problem import CONVERGED
 from eoi_jax.refinement.result import Refinement, Start
 from eoi_jax.refinement.spans import FEWEST_STEPS, Span
+from eoi_jax.simulation.state_jumps import state_jumps
 
 
 def refinement_of(
@@ -277,7 +278,8 @@ def _status(
         return _converged(fit.steps)
     if bool(outcome.exhausted):
         return Status("passes_exhausted", _MORE_STEPS.format(predicted_reduction))
-    cause = _KINKS if np.any(fit.problem.kernel.plant.jumps) else _FAR_FROM_LINEAR
+    plant = fit.problem.kernel.plant
+    cause = _KINKS if np.any(plant.jumps) or state_jumps(plant) else _FAR_FROM_LINEAR
     return Status("stalled", _STALLED.format(predicted_reduction) + cause)
 
 

@@ -29,7 +29,7 @@ from eoi_jax.data.record import Record
 from eoi_jax.data.windows import start_samples
 from eoi_jax.models.jacobians import driven
 from eoi_jax.models.plant import Plant, State
-from eoi_jax.simulation.integrator import rate_of
+from eoi_jax.simulation.rates import rate_of
 
 
 @dataclass(frozen=True)

@@ -18,6 +18,9 @@ their share of the same mixture (Filippov's convex combination). Two outputs who
 each other leave rest, or stay, as the linear complementarity problem of both has it
 (`complementarity.py`).
 
+Where f of a plant without dry friction jumps with the state, as at a contact with damping, steps
+are cut as well (`switched_step.py`).
+
 Each output can stop at most once within a step (to stop again it would have to leave with a force
 that reverses within the same step, worth O(h²) of velocity), so a step has as many cuts as the
 plant has outputs with dry friction, and never more.
@@ -42,14 +45,16 @@ from eoi_jax.compiler.programs import jit
 from eoi_jax.models.plant import REST_SPEED, Plant, State
 from eoi_jax.models.velocities import velocity_of, velocity_rows, with_velocity
 from eoi_jax.simulation.complementarity import Matrix, balanced, leaving
+from eoi_jax.simulation.rates import Fraction, added, first_zero, input_within, rate_of, scaled
 from eoi_jax.simulation.runge_kutta import runge_kutta_step
+from eoi_jax.simulation.state_jumps import state_jumps
+from eoi_jax.simulation.switched_step import SwitchedStep
 
 _PAIR = 2  # outputs whose frictions may act on each other: `complementarity.py` balances no more
 REACHES = 2  # of `frictional`: what sticks acts on other outputs too
 
 Motion = Float[Array, "time r ny"]
 Internal = Float[Array, "time nz"]
-Fraction = Scalar | float
 
 
 @jax.tree_util.register_dataclass
@@ -138,7 +143,7 @@ def trajectory(
         relative degree 0 stands in the first row. Where the solution leaves the finite numbers, so
         do they.
     """
-    one_step = _sticking_step if any(friction) else _smooth_step
+    one_step = _sticking_step if any(friction) else _free_step
     h = jnp.asarray(driven_by.step)
 
     def body(x: State, row: tuple[Scalar, Float[Array, "3 nu"]]) -> tuple[State, State]:
@@ -188,7 +193,7 @@ def advanced(
         friction: which outputs stick, see `frictional`.
     """
     problem = _Problem(plant, theta, time, step, inputs, friction)
-    return (_sticking_step_unrolled if any(friction) else _smooth_step)(problem, x)
+    return (_sticking_step_unrolled if any(friction) else _free_step)(problem, x)
 
 
 def chained(
@@ -318,7 +323,7 @@ def _chained(
     begun: State,
     friction: tuple[int, ...],
 ) -> Float[Array, "steps ny"]:
-    one_step, h = _sticking_step if any(friction) else _smooth_step, jnp.asarray(step)
+    one_step, h = _sticking_step if any(friction) else _free_step, jnp.asarray(step)
 
     def body(x: State, row: tuple) -> tuple[State, Output]:
         t, u, after, restart, start = row
@@ -354,10 +359,8 @@ class _Problem(eqx.Module):
         return tuple(j for j, kind in enumerate(self.friction) if kind == REACHES)
 
     def input_at(self, fraction: Fraction) -> Input:
-        """A parabola through start, middle and end: exact for held and linear inputs."""
-        first, middle, last = self.inputs
-        slope = 4.0 * middle - 3.0 * first - last
-        return first + fraction * (slope + fraction * (2.0 * (first - 2.0 * middle + last)))
+        """See `input_within`."""
+        return input_within(self.inputs, fraction)
 
     def rate(self, t: Scalar, x: State, u: Input, direction: Output | None) -> State:
         """dx/dt, with outputs that stick moving only the way of `direction`."""
@@ -382,7 +385,7 @@ class _Problem(eqx.Module):
         stuck = [direction[j] == 0 for j in self.reaching]
         shares = balanced(matrix, rates, stuck)
         for share, contribution in zip(shares, contributions, strict=True):
-            mean = _add(mean, jnp.clip(share, -1.0, 1.0), contribution)
+            mean = added(mean, jnp.clip(share, -1.0, 1.0), contribution)
         return mean
 
     def leaving(self, t: Scalar, x: State, u: Input) -> Output:
@@ -416,9 +419,9 @@ class _Problem(eqx.Module):
 
         # Forces add up: what one output's side changes does not depend on the other's.
         lower = rates(None)
-        contributions = [_scaled(0.5, _add(rates(j), -1.0, lower)) for j in self.reaching]
+        contributions = [scaled(0.5, added(rates(j), -1.0, lower)) for j in self.reaching]
         return reduce(
-            lambda mean, contribution: _add(mean, 1.0, contribution), contributions, lower
+            lambda mean, contribution: added(mean, 1.0, contribution), contributions, lower
         ), contributions
 
     def _at_reaching(self, mean: State, contributions: list[State]) -> tuple[Matrix, list[Scalar]]:
@@ -445,23 +448,6 @@ class _Problem(eqx.Module):
         return with_velocity(y, velocity, self.plant.degrees)
 
 
-def rate_of(plant: Plant, theta: Theta, t: Scalar, x: State, u: Input) -> State:
-    """dx/dt: a chain of integrators for each output, with f at its end."""
-    f = plant.derivative(t, x, u, theta)
-    shifted = jnp.concatenate([x.y[1:], jnp.zeros_like(x.y[:1])])
-    last = np.arange(x.y.shape[0])[:, None] == np.asarray(plant.degrees)[None, :] - 1
-    y = jnp.where(last, f[None, :], shifted)
-    return State(y, plant.internal_rate(t, x, u, theta))
-
-
-def _add(x: State, scale: Fraction, slope: State) -> State:
-    return State(x.y + scale * slope.y, x.z + scale * slope.z)
-
-
-def _scaled(scale: Fraction, x: State) -> State:
-    return State(scale * x.y, scale * x.z)
-
-
 def _advance(
     problem: _Problem, x: State, start: Fraction, end: Fraction, direction: Output | None
 ) -> State:
@@ -482,8 +468,13 @@ def _rate(problem: _Problem, t: Scalar, u: Input, x: State, direction: Output | 
     return problem.rate(t, x, u, direction)
 
 
-def _smooth_step(problem: _Problem, x: State) -> State:
-    return _advance(problem, _sampled(problem, x), 0.0, 1.0, None)
+def _free_step(problem: _Problem, x: State) -> State:
+    """A step of a plant without dry friction, cut where the equations jump with the state."""
+    x, jumps = _sampled(problem, x), state_jumps(problem.plant)
+    if not jumps:
+        return _advance(problem, x, 0.0, 1.0, None)
+    parts = problem.plant, problem.theta, problem.time, problem.step, problem.inputs
+    return SwitchedStep(*parts, jumps).advanced(x)
 
 
 def _sampled(problem: _Problem, x: State) -> State:
@@ -545,7 +536,7 @@ def _until_stop(
     def cut() -> tuple[State, Scalar]:
         length = (1.0 - fraction) * problem.step
         slope = problem.velocity(_slope(problem, x, fraction, direction).y)
-        first = _first_zero(start_velocity, length * slope, end_velocity, direction, stops)
+        first = first_zero(start_velocity, length * slope, end_velocity, direction, stops)
         stop = fraction + (1.0 - fraction) * jnp.min(first)
         landed = _advance(problem, x, fraction, stop, direction)
         return _land(problem, landed, stop, direction, stops & (first == jnp.min(first)))
@@ -575,24 +566,6 @@ def _slope(problem: _Problem, x: State, fraction: Scalar, direction: Output) -> 
     return _rate(problem, t, problem.input_at(fraction), x, direction)
 
 
-def _first_zero(v0: Output, dv: Output, v1: Output, direction: Output, stops: Flags) -> Output:
-    """Where the parabola v0 + dv σ + (v1 − v0 − dv) σ² falls through zero, σ in [0, 1].
-
-    `dv` is the initial slope over the whole length. 1 where an output does not stop.
-    """
-    # Seen in the direction of motion: starts at v0 ≥ 0, ends below zero, so one root lies between.
-    v0, dv, v1 = direction * v0, direction * dv, direction * v1
-    bend = v1 - v0 - dv
-    root = jnp.sqrt(jnp.where(stops, jnp.maximum(dv * dv - 4.0 * bend * v0, 0.0), 1.0))
-    # The form of the root that does not cancel; each has a divisor ≠ 0 where it is used.
-    rising = stops & (dv > 0)
-    falling = stops & ~rising & (v0 > 0)
-    late = (dv + root) / jnp.where(rising, -2.0 * bend, 1.0)
-    early = 2.0 * v0 / jnp.where(falling, root - dv, 1.0)
-    zero = jnp.where(rising, late, jnp.where(falling, early, 0.0))
-    return jnp.where(stops, jnp.clip(zero, 0.0, 1.0), 1.0)
-
-
 def _land(
     problem: _Problem, x: State, at: Scalar, direction: Output, stopped: Flags
 ) -> tuple[State, Scalar]:
@@ -604,7 +577,7 @@ def _land(
     shift = -v / jnp.where(a == 0, 1.0, a) / problem.step
     # A grazing stop has next to no acceleration: never leave the step.
     shift = jnp.clip(jnp.where(a == 0, 0.0, shift), -at, 1.0 - at)
-    return _at_rest(problem, _add(x, shift * problem.step, slope), stopped), at + shift
+    return _at_rest(problem, added(x, shift * problem.step, slope), stopped), at + shift
 
 
 def _at_rest(problem: _Problem, x: State, stopped: Flags) -> State:

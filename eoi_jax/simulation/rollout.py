@@ -30,9 +30,11 @@ def rollout(
     """Free run of a plant, a pure function of arrays: `jit`, `vmap`, `grad` and `jvp` apply.
 
     The integrator is that of `simulate`: fourth-order Runge-Kutta steps of fixed length, cut where
-    an output comes to rest, so that dry friction sticks. Derivatives are those of the run with its
-    instants of stop: they are exact where a small change of the arguments leaves the order of stops
-    and departures as it is.
+    an output comes to rest, so that dry friction sticks, and where equations without dry friction
+    jump with the state. Derivatives are those of the run with these instants: they are exact where
+    a small change of the arguments leaves the order of stops, departures and jumps as it is. At
+    other jumps (with time or inputs alone, with the state beside dry friction) they lack that of
+    the instant.
 
     Args:
         plant: the equations. Which outputs stick is found at its own parameters.

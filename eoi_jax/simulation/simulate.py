@@ -51,8 +51,8 @@ from eoi_jax.simulation.integrator import (
     Motion,
     frictional,
     outputs_along,
-    rate_of,
 )
+from eoi_jax.simulation.rates import rate_of
 from eoi_jax.simulation.step_size import RULES, finest_steps, mode_along
 from eoi_jax.simulation.time_jumps import time_jump
 

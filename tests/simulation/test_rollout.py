@@ -205,3 +205,20 @@ def test_a_start_by_name_is_that_of_the_array_and_has_its_derivative():
     assert jax.jit(end)(0.2) == pytest.approx(float(array), rel=1e-12)
     slope = (float(end(1.2)) - float(end(-0.8))) / 2.0  # the plant is linear
     assert float(jax.grad(end)(0.2)) == pytest.approx(slope, rel=1e-9)
+
+
+@pytest.mark.parametrize("slope", [jax.grad, jax.jacfwd])
+def test_derivatives_at_a_jump_have_that_of_the_instant(slope):
+    """y'' = -d beyond y = 1, entered at 1/v: y(1) = v - d (1 - 1/v)² / 2."""
+
+    def zone(t, x, u, p):
+        return -jnp.where(x.y[0, 0] > 1.0, p.d, 0.0)
+
+    plant, still = eoi.Plant(zone, {"d": 1.0}, 2, inputs=[]), np.zeros((101, 0))
+
+    def end(v, d):
+        return eoi.rollout(plant, {"d": d}, jnp.stack([0.0, v]), still, 0.01).y[-1, 0, 0]
+
+    np.testing.assert_allclose(end(2.0, 1.0), 1.875, rtol=1e-12)
+    np.testing.assert_allclose(slope(end)(2.0, 1.0), 0.875, rtol=1e-9)
+    np.testing.assert_allclose(slope(end, 1)(2.0, 1.0), -0.125, rtol=1e-9)

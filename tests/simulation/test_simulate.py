@@ -20,12 +20,12 @@ from eoi_jax.models.library import (
 from eoi_jax.simulation.integrator import (
     REACHES,
     Drive,
-    _first_zero,
     chained,
     free_run,
     frictional,
     trajectory,
 )
+from eoi_jax.simulation.rates import first_zero
 from eoi_jax.simulation.simulate import drive, simulate
 
 
@@ -679,7 +679,7 @@ def test_stops_are_where_the_parabola_of_the_velocity_falls_through_zero():
     dv = draw.uniform(-3.0, 3.0, 200)
     way = draw.choice([-1.0, 1.0], 200)
     stops = draw.uniform(size=200) < 0.8
-    found = np.asarray(jit(_first_zero)(way * v0, way * dv, way * v1, way, stops))
+    found = np.asarray(jit(first_zero)(way * v0, way * dv, way * v1, way, stops))
     assert np.all((found >= 0.0) & (found <= 1.0) & (stops | (found == 1.0)))
     bend = v1 - v0 - dv
     left = v0 + dv * found + bend * found**2
@@ -748,3 +748,75 @@ def test_a_jump_of_the_equations_in_time_is_told():
     for term in ("tanh(t/0.01)", "sin(8*pi*t)"):  # the last one alike at all samples
         smooth = eoi.plant_from_text({"y": f"a*{term} - y"}, {"a": 1.0}, ["y"])
         simulate(smooth, time, still)
+
+
+# -- jumps with the state -------------------------------------------------------------------
+
+
+def contact(t, x, u, p):
+    q, v = x.y[:, 0]
+    pull = u[0] - 1.2 * v - 13.0 * q
+    return pull - jnp.where(q > 0.1, p.k * (q - 0.1) + p.d * v, 0.0)
+
+
+def test_a_contact_with_damping_converges_at_fourth_order():
+    plant = Plant(contact, {"k": 900.0, "d": 6.0}, 2)
+    time = 0.005 * np.arange(400)
+    inputs = 2.0 * np.sin(4.0 * time)
+    events = np.empty(400)
+    state, inside = np.zeros(2), False
+    for i, u in enumerate(inputs):
+        events[i], remaining = state[0], 0.005
+        while remaining > 1e-15:
+
+            def rate(t, z, u=u, inside=inside):
+                wall = 900.0 * (z[0] - 0.1) + 6.0 * z[1] if inside else 0.0
+                return [z[1], u - 1.2 * z[1] - 13.0 * z[0] - wall]
+
+            def border(t, z, inside=inside):
+                return z[0] - 0.1 if t > 1e-9 else (1.0 if inside else -1.0)
+
+            border.terminal, border.direction = True, -1 if inside else 1
+            part = solve_ivp(
+                rate, (0.0, remaining), state, "DOP853", events=border, rtol=1e-12, atol=1e-14
+            )
+            state, remaining = part.y[:, -1], remaining - part.t[-1]
+            inside ^= bool(part.t_events[0].size)
+    errors = [
+        np.max(
+            np.abs(simulate(plant, time, inputs, hold="zero", substeps=n).outputs[:, 0] - events)
+        )
+        for n in (1, 4)
+    ]
+    assert errors[0] < 1e-6  # of 0.12
+    assert errors[1] < errors[0] / 100.0  # 256 in the limit
+
+
+def test_several_jumps_of_vectors_and_signs_are_crossed():
+    """A tent: uniform slopes on both sides of a ridge, with a ditch on one of them."""
+
+    def tent(t, x, u, p):
+        q = x.y[0]
+        return p.g * jnp.sign(q) - jnp.where((q > 1.0) & (q < 2.0), p.d, jnp.zeros(1))
+
+    plant = Plant(tent, {"g": 1.0, "d": 0.5}, 2, inputs=[])
+    time = np.linspace(0.0, 4.0, 9)
+    run = simulate(plant, time, np.zeros((9, 0)), {"y": (-0.5, 1.5)}, substeps=1).outputs[:, 0]
+    # From -0.5 to 0 with an acceleration of -1, on to 1 with +1 + 0, and to 2 with 1 - 0.5.
+    speeds = np.sqrt([1.25, 3.25, 4.25])
+    at = np.cumsum([1.5 - speeds[0], speeds[1] - speeds[0], (speeds[2] - speeds[1]) / 0.5])
+    later = time[time > at[2]] - at[2]
+    exact = 2.0 + speeds[2] * later + 0.5 * later**2
+    np.testing.assert_allclose(run[time > at[2]], exact, rtol=1e-9)
+
+
+def test_equations_without_numbers_beyond_a_jump_take_the_step_as_it_is():
+    """A vessel that runs empty: beyond its bottom the root is no number."""
+
+    def vessel(t, x, u, p):
+        level = x.y[0, 0]
+        return -jnp.where(level > 0.0, p.k + jnp.sqrt(level), 0.0)
+
+    plant, time = Plant(vessel, {"k": 0.5}, 1, inputs=[]), 0.01 * np.arange(200)
+    run = simulate(plant, time, np.zeros((200, 0)), {"y": 0.5}, substeps=4).outputs[:, 0]
+    np.testing.assert_allclose(run[-20:], 0.0, atol=0.01)
