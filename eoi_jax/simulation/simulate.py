@@ -4,6 +4,7 @@ Integrated by `trajectory`, or, for smooth plants, by diffrax as an independent 
 """
 
 from collections.abc import Callable, Mapping
+from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import jax
@@ -53,7 +54,13 @@ from eoi_jax.simulation.integrator import (
     outputs_along,
 )
 from eoi_jax.simulation.rates import rate_of
-from eoi_jax.simulation.step_size import RULES, finest_steps, mode_along
+from eoi_jax.simulation.step_size import (
+    RULES,
+    StepChange,
+    finest_steps,
+    mode_along,
+    settled_steps,
+)
 from eoi_jax.simulation.time_jumps import time_jump
 
 Pieces = Float[np.ndarray, "steps order nu"]
@@ -88,7 +95,8 @@ def simulate(
         solver: ``"fixed"`` (Runge-Kutta 4, dry friction sticks) or ``"adaptive"`` (Dormand-Prince 8
             of diffrax to a relative tolerance of 1e-10, smooth plants only).
         substeps: steps per sample, of the fixed solver. None: one, more where the fastest mode
-            along the run needs them (`step_size.py`).
+            along the run needs them, and until half as long ones change no output by more than
+            1e-4 of its spread (`step_size.py`).
         name: name of the record.
 
     Returns:
@@ -102,7 +110,7 @@ def simulate(
 
     Warns:
         RuntimeWarning: equations that jump with time, which steps of the library's choice do not
-            resolve.
+            resolve; a run that no steps settle, as a chaotic one, with the change by halving them.
     """
     check_process()
     check_kind("plant", plant, Plant, "a Plant")
@@ -132,7 +140,7 @@ def simulate(
         jump = time_jump(plant, time) if substeps is None else None
         if jump is not None:
             warn_caller(_JUMP.format(jump), RuntimeWarning)
-        outputs = _fixed(plant, time, u, used, start, substeps)
+        outputs = _fixed(plant, time, u, used, start, substeps, jump is None)
     bad = ~np.all(np.isfinite(outputs), axis=1)
     failure = f"NaN or infinity from t = {time[int(np.argmax(bad))]:g} s on"
     advice = "Either the plant is unstable, or the step is too long: try more `substeps`."
@@ -155,6 +163,13 @@ _JUMP = (
 )
 
 
+_UNSETTLED = (
+    "Halving the steps changes {} by {:.2g} rms (spread {:.2g}), and no more of them settle it: "
+    "the run is chaotic, or its equations jump. What is returned has {} a sample. For another "
+    'number give `substeps`; for smooth plants there is `solver="adaptive"`'
+)
+
+
 def _fixed(
     plant: Plant,
     time: Float[np.ndarray, " time"],
@@ -162,24 +177,78 @@ def _fixed(
     hold: Hold,
     start: State,
     substeps: int | None,
+    settle: bool,
 ) -> Float[np.ndarray, "time ny"]:
-    """Outputs by Runge-Kutta steps, a few for a sample where the fastest mode needs them."""
-    begun, friction = State(start.y[None], start.z[None]), frictional(plant)
-    count = 1 if substeps is None else substeps
-    while True:
-        driven_by = acted(plant, drive(time, inputs, hold, count))
-        lanes = driven_by.time[None], np.asarray(driven_by.step)[None], driven_by.inputs[None]
-        single_drive = Drive(*lanes, count, driven_by.last[None])
-        outputs = outputs_of(plant, single_drive, begun, friction)[0]
-        if substeps is not None or 2 * count > finest_steps([time]):
-            return outputs
-        needed = 4 * count  # of a run that has left the finite numbers
-        if np.all(np.isfinite(outputs)):
-            rate = mode_along(plant, time, inputs, outputs) * (time[1] - time[0])
-            needed = 2 ** max(int(np.ceil(np.log2(max(rate, 1e-9) / RULES.mode))), 0)
-        if needed <= count:
-            return outputs
-        count = min(needed, finest_steps([time]))
+    """Outputs by Runge-Kutta steps; to `settle` them, so many that half as long ones agree."""
+    runs = _Runs(plant, time, inputs, hold, start, {})
+    if substeps is not None:
+        return runs.outputs(substeps)
+    limit, count = finest_steps([time]), runs.by_mode()
+    outputs = runs.outputs(count)
+    if not (settle and np.all(np.isfinite(outputs))):
+        return outputs
+    settled, are_enough = settled_steps(count, limit, runs.change, RULES.simulated)
+    if are_enough or 2 * count > limit:
+        return runs.outputs(settled)
+    size, _, spread = runs.change(count)
+    worst = int(np.argmax(np.where(np.isfinite(size), size / spread, np.inf)))
+    numbers = size[worst], spread[worst], counted(count, "step")
+    warn_caller(_UNSETTLED.format(plant.outputs[worst], *numbers), RuntimeWarning)
+    return outputs
+
+
+@dataclass(frozen=True)
+class _Runs:
+    """Runs of one plant in steps of different length.
+
+    Attributes:
+        plant: with its parameters.
+        time: grid [s].
+        inputs: at its instants.
+        hold: of each input.
+        start: state at the first instant.
+        cache: outputs by the number of steps a sample.
+    """
+
+    plant: Plant
+    time: Float[np.ndarray, " time"]
+    inputs: Float[np.ndarray, "time nu"]
+    hold: Hold
+    start: State
+    cache: dict[int, Float[np.ndarray, "time ny"]]
+
+    def outputs(self, count: int) -> Float[np.ndarray, "time ny"]:
+        """Outputs in so many steps a sample."""
+        if count not in self.cache:
+            begun = State(self.start.y[None], self.start.z[None])
+            driven_by = acted(self.plant, drive(self.time, self.inputs, self.hold, count))
+            lanes = driven_by.time[None], np.asarray(driven_by.step)[None], driven_by.inputs[None]
+            single = Drive(*lanes, count, driven_by.last[None])
+            self.cache[count] = outputs_of(self.plant, single, begun, frictional(self.plant))[0]
+        return self.cache[count]
+
+    def by_mode(self) -> int:
+        """Steps a sample that follow the fastest mode along the run."""
+        count, limit = 1, finest_steps([self.time])
+        while 2 * count <= limit:
+            outputs = self.outputs(count)
+            needed = 4 * count  # of a run that has left the finite numbers
+            if np.all(np.isfinite(outputs)):
+                rate = mode_along(self.plant, self.time, self.inputs, outputs)
+                rate *= self.time[1] - self.time[0]
+                needed = 2 ** max(int(np.ceil(np.log2(max(rate, 1e-9) / RULES.mode))), 0)
+            if needed <= count:
+                break
+            count = min(needed, limit)
+        return count
+
+    def change(self, count: int) -> StepChange:
+        """By how much half as long steps change the outputs; nothing was measured; their spread."""
+        coarse, fine = self.outputs(count), self.outputs(2 * count)
+        with np.errstate(all="ignore"):
+            size, level = (np.sqrt(np.mean(y**2, axis=0)) for y in (fine - coarse, fine))
+            spread = np.maximum(np.std(fine, axis=0), 1e-6 * level)  # at rest all is rounding
+        return size, np.zeros_like(size), spread
 
 
 def drive(

@@ -40,6 +40,8 @@ class StepRules:
         visible: rms change by halving, over the rms of the residual, that asks for shorter steps.
         resolution: the same change over the rms of the output, which shows in no measurement: less
             than a step of a converter of 23 bits.
+        simulated: likewise of `simulate`, whose runs nothing was measured for, over the spread of
+            the output: a tenth of the noise of a good sensor.
         halvings: how often steps are halved before it is asked whether that leads anywhere: whether
             the change is of first order in h. A chaotic run never settles.
         finest: steps per sample at most: a mode with a time constant of 1/500 of the sample period
@@ -54,6 +56,7 @@ class StepRules:
     mode: float = 0.5
     visible: float = 0.02
     resolution: float = 1e-7
+    simulated: float = 1e-4
     halvings: int = 3
     finest: int = 1024
     total: int = 20_000_000
@@ -158,7 +161,12 @@ def choose_steps(plant: Plant, records: Sequence[Record], total: int = RULES.tot
 StepChange = tuple[Float[np.ndarray, " ny"], Float[np.ndarray, " ny"], Float[np.ndarray, " ny"]]
 
 
-def settled_steps(count: int, limit: int, change: Callable[[int], StepChange]) -> tuple[int, bool]:
+def settled_steps(
+    count: int,
+    limit: int,
+    change: Callable[[int], StepChange],
+    resolution: float = RULES.resolution,
+) -> tuple[int, bool]:
     """Steps per sample, doubled until runs of half as long ones agree.
 
     Args:
@@ -166,6 +174,7 @@ def settled_steps(count: int, limit: int, change: Callable[[int], StepChange]) -
         limit: steps per sample at most.
         change: of the runs by halving such steps, the residual of the finer ones, not finite where
             they diverge, and the measured outputs.
+        resolution: share of the measured outputs that shows in nothing.
 
     Returns:
         The fewest that are enough, or, where none are, the most that were looked at; and whether
@@ -174,7 +183,7 @@ def settled_steps(count: int, limit: int, change: Callable[[int], StepChange]) -
     first, halvings = np.zeros(0), 0
     while 2 * count <= limit:
         size, residual, measured = change(count)
-        enough = size <= np.maximum(RULES.visible * residual, RULES.resolution * measured)
+        enough = size <= np.maximum(RULES.visible * residual, resolution * measured)
         if np.all(enough):
             return count, True
         first = size if halvings == 0 else first

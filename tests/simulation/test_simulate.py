@@ -750,6 +750,46 @@ def test_a_jump_of_the_equations_in_time_is_told():
         simulate(smooth, time, still)
 
 
+def test_half_as_long_steps_agree_by_default():
+    """A friction and a wall of one plant: the steps end at the stops alone."""
+
+    def wall(t, x, u, p):
+        q, v = x.y[:, 0]
+        return (
+            u[0]
+            - 13.0 * q
+            - 0.1 * jnp.sign(v)
+            - jnp.where(q > 0.1, 900.0 * (q - 0.1) + 6.0 * v, 0.0)
+        )
+
+    plant, time = Plant(wall, {"none": 0.0}, 2), 0.004 * np.arange(1000)
+    inputs = 4.0 * np.round(np.sin(3.0 * time))
+    run, exact, single = (
+        simulate(plant, time, inputs, hold="zero", substeps=count).outputs
+        for count in (None, 500, 1)
+    )
+    spread = np.std(exact)
+    assert np.sqrt(np.mean((single - exact) ** 2)) > 5e-4 * spread
+    assert np.sqrt(np.mean((run - exact) ** 2)) < 2e-4 * spread
+
+
+def test_a_run_that_no_steps_settle_says_so():
+    """The equations of Lorenz over twenty times the length in which an error grows tenfold."""
+
+    def lorenz(t, x, u, p):
+        a, b, c = x.y[0]
+        return jnp.stack([10.0 * (b - a), a * (28.0 - c) - b, a * b - 8.0 / 3.0 * c])
+
+    plant = Plant(lorenz, {"none": 0.0}, 1, inputs=[], outputs=["a", "b", "c"])
+    time, start = 0.02 * np.arange(2500), np.array([[1.0, 1.0, 20.0]])
+    with pytest.warns(
+        RuntimeWarning, match=r"changes [abc] by .*What is returned has 1 step a samp"
+    ):
+        run = simulate(plant, time, np.zeros((2500, 0)), start)
+    by_hand = simulate(plant, time, np.zeros((2500, 0)), start, substeps=1)
+    np.testing.assert_array_equal(run.outputs, by_hand.outputs)
+
+
 # -- jumps with the state -------------------------------------------------------------------
 
 
