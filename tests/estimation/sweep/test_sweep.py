@@ -531,6 +531,23 @@ def test_best_of_nothing_says_so():
         eoi.best(result, shortlist=0)
 
 
+def test_a_lane_in_sliding_mode_comes_before_one_that_is_as_good():
+    sets = gains(SecondOrder, {"c1": 60.0, "c2": 2e3, "c3": [0.05, 300.0]})
+    result = quick(observers=sets)
+    index = result["common_index"]
+    slides = index.isel(observer=1).values
+    first = np.arange(2)[None, None, :, None, None, None] == 0
+    for better, chosen in ((0.999, 300.0), (0.9, 0.05)):
+        values = np.broadcast_to(slides[:, :, None] * np.ones_like(index.values), index.shape)
+        score = index.copy(data=np.where(first, better, 1.0) * values)
+        changed = result.assign(common_index=score)
+        if chosen == 300.0:
+            assert float(eoi.best(changed).c3) == chosen
+        else:
+            with pytest.warns(RuntimeWarning, match=r"sliding mode in only .*Raise the gains"):
+                assert float(eoi.best(changed).c3) == chosen
+
+
 # -- what is refused ----------------------------------------------------------------------------
 
 
