@@ -24,7 +24,7 @@ from eoi_jax._types import Scalar
 from eoi_jax.compiler.jax_private import ClosedJaxpr, Literal, called, results_of
 
 _GREATER, _SMALLER = frozenset({"gt", "ge"}), frozenset({"lt", "le"})
-_COMPARED = _GREATER | _SMALLER | {"sign"}
+COMPARED = _GREATER | _SMALLER | {"sign"}
 
 Differences = Float[Array, " comparisons"]
 
@@ -115,7 +115,7 @@ class _Evaluation:
             return self._run(inner, operands, moves)
         results = results_of(equation, operands)
         real = equation.invars[0].aval.dtype.kind == "f" if equation.invars else False
-        if name in _COMPARED and real and any(moves):
+        if name in COMPARED and real and any(moves):
             results = [self._compared(name, operands, results[0])]
         return results, [any(moves)] * len(results)
 

@@ -16,7 +16,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Bool, Float
 
-from eoi_jax.compiler.comparisons import comparisons
+from eoi_jax.compiler.comparisons import COMPARED, comparisons
+from eoi_jax.compiler.jax_private import operations_of
 from eoi_jax.compiler.pointwise import along
 from eoi_jax.models.plant import Plant, State
 from eoi_jax.simulation.rates import rate_of
@@ -73,7 +74,9 @@ def _state_jumps(structure: Any, dtype: Any) -> tuple[int, ...]:
     plant: Plant = jax.tree.unflatten(structure, [np.ones(len(names))] * structure.num_leaves)
     rows, evaluate = _points(plant), _Evaluated(plant)
     one_row = jax.tree.map(lambda leaf: jax.ShapeDtypeStruct(leaf.shape[1:], float), rows)
-    count = jax.eval_shape(evaluate, one_row)[0].shape[0]
+    if operations_of(jax.make_jaxpr(evaluate.slopes)(one_row).jaxpr).isdisjoint(COMPARED):
+        return ()
+    count = jax.eval_shape(lambda row: evaluate(row)[0], one_row).shape[0]
     if not 0 < count <= _RULES.most or any(plant.dry_friction):
         return ()
     jumps = _jumping(lambda rows: along(evaluate, ("rows",), rows), rows, count)
@@ -86,6 +89,11 @@ class _Evaluated:
 
     plant: Plant
 
+    def slopes(self, row: Rows) -> State:
+        """dx/dt."""
+        x, t, u, theta = row
+        return rate_of(self.plant, theta, t, x, u)
+
     def __call__(self, row: Rows) -> tuple[Any, Any]:
         x, t, u, theta = row
         plant = self.plant
@@ -93,9 +101,12 @@ class _Evaluated:
         def slopes(x: State) -> State:
             return rate_of(plant, theta, t, x, u)
 
+        differences = comparisons(slopes, x)[0]
+        if not len(differences):
+            return differences, jnp.zeros(0)
         rates = slopes(x)
         y = jnp.where(plant.algebraic, 0.0, rates.y)
-        return comparisons(slopes, x)[0], jnp.concatenate([jnp.ravel(y), rates.z])
+        return differences, jnp.concatenate([jnp.ravel(y), rates.z])
 
     @functools.cached_property
     def _key(self) -> Any:
@@ -111,14 +122,15 @@ class _Evaluated:
 def _points(plant: Plant) -> Rows:
     """Fixed pseudo-random states, inputs and parameters."""
     draw, count = np.random.default_rng(0), _RULES.points
-    ny, nz, nu = len(plant.outputs), len(plant.initial_internal), len(plant.inputs)
+    ny, nu = len(plant.outputs), len(plant.inputs)
+    theta = draw.uniform(0.8, 1.2, (count, len(plant.names)))
+    nz = jax.eval_shape(plant.internal_start, jax.ShapeDtypeStruct(theta[0].shape, float)).shape[0]
     low, high = np.log(_RULES.magnitudes)
 
     def signed(*shape: int) -> np.ndarray:
         return draw.choice([-1.0, 1.0], shape) * np.exp(draw.uniform(low, high, shape))
 
     x = State(signed(count, plant.rows, ny), signed(count, nz))
-    theta = draw.uniform(0.8, 1.2, (count, len(plant.names)))
     return x, np.full(count, 0.3), signed(count, nu), theta
 
 
