@@ -137,7 +137,8 @@ def _start(plant: Plant, record: Record) -> Float[np.ndarray, " nz"]:
     run = Run(plant, frictional(plant), head.substeps)
     y, valid = record.outputs[None, :count], record.output_valid[None, :count]
     begins = np.asarray([not record.continues])
-    return states_of(run, initial_states(run, lane, y, valid, begins=begins)).z[0]
+    values = initial_states(run, lane, y, valid, record.noise[None], begins=begins)
+    return states_of(run, values).z[0]
 
 
 def pass_start_notes(

@@ -316,7 +316,8 @@ def guessed_starts(
     heads, past = _heads(problem, count - 1)
     with np.errstate(invalid="ignore"):  # a start that diverges is found out by the first fit
         begins = np.asarray([starts_record(records, span) for span in spans])
-        return initial_states(run, heads, y, valid, past, begins)
+        noise = np.stack([records[span.record].noise for span in spans])
+        return initial_states(run, heads, y, valid, noise, past, begins)
 
 
 def _common_length(spans: Sequence[Span]) -> int:

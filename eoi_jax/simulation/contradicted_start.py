@@ -27,6 +27,7 @@ def contradicted_start(
     heads: Drive,
     y: Float[np.ndarray, "runs time ny"],
     valid: Bool[np.ndarray, "runs time ny"],
+    noise: Float[np.ndarray, "runs ny"],
     values: Starts | None,
     begins: Bool[np.ndarray, " runs"],
     name: str,
@@ -42,6 +43,7 @@ def contradicted_start(
         heads: what drives the first samples of each run.
         y: outputs there.
         valid: which of them were measured.
+        noise: standard deviation of the noise of their sensors.
         values: unknowns of each run, the known ones as declared; None: to be fitted here.
         begins: which run begins with its record.
         name: of the record.
@@ -51,8 +53,9 @@ def contradicted_start(
     from scipy.special import chdtrc
 
     i = int(np.argmax(begins))
-    free = initial_states(run, heads, y, valid)
-    values = initial_states(run, heads, y, valid, begins=begins) if values is None else values
+    free = initial_states(run, heads, y, valid, noise)
+    if values is None:
+        values = initial_states(run, heads, y, valid, noise, begins=begins)
     with np.errstate(all="ignore"):  # of a run that diverges
         declared_error, free_error = (
             np.where(valid[i], y[i] - outputs_of(run.plant, heads, states_of(run, starts),

@@ -8,6 +8,10 @@ been at their first values. Gauss-Newton with halved steps (`simulation/gauss_ne
 from there; the derivatives of the errors are differences, for one of the simulation would take
 longer to compile than all else.
 All runs are simulated side by side.
+
+Outputs count by the noise of their sensors first, then by what the fit leaves of each where that is
+more, until their weights settle: a noisy speed does not spoil the start of an exact encoder, and an
+output that the model misses does not rule the start.
 """
 
 from dataclasses import dataclass, replace
@@ -40,7 +44,10 @@ class InitialStateSettings:
     min_reduction: float = 1e-5  # of the squared error, relative: less is 0.02 standard errors
     level: float = 0.005  # of significance, from which on internal states are fitted
     past: float = 1e-3  # share of a level before the record below which a run does not see it
+    rounding: float = 1e-9  # errors, over the spread of an output, that are none
     turns: int = 3  # in which an output and a difference from it settle: the second is near
+    weighings: int = 8  # fits with other weights of the outputs, at most
+    settled: float = 0.2  # relative change of the weights, which then costs 1 % of the accuracy
 
 
 _SETTINGS = InitialStateSettings()
@@ -80,6 +87,7 @@ def initial_states(
     heads: Drive,
     y: Float[np.ndarray, "runs time ny"],
     valid: Bool[np.ndarray, "runs time ny"],
+    noise: Float[np.ndarray, "runs ny"],
     past: Float[np.ndarray, "runs steps 3 nu past"] | None = None,
     begins: Bool[np.ndarray, " runs"] | None = None,
     owners: Int[np.ndarray, " runs"] | None = None,
@@ -91,18 +99,19 @@ def initial_states(
         heads: what drives the first samples of each run.
         y: outputs there.
         valid: which of them were measured.
+        noise: standard deviation of the noise of their sensors (`Record.noise`).
         past: how the inputs there change with their levels before the record (`past_slopes`), of
             a plant with delays or lags of inputs.
         begins: which runs begin with their record: known starts of the plant hold there. None: no
             run does.
-        owners: number of the record of each run, in rising order: outputs count by their spread in
-            the runs of one record. None: all are of one.
+        owners: number of the record of each run, in rising order: outputs count alike in the runs
+            of one record. None: all are of one.
 
     Returns:
         Outputs and their derivatives, then z, then the levels before the record, less the first
         values of the inputs.
     """
-    return window_starts(run, heads, y, valid, past, begins, None, owners)[0]
+    return window_starts(run, heads, y, valid, noise, past, begins, None, owners)[0]
 
 
 def window_starts(
@@ -110,6 +119,7 @@ def window_starts(
     heads: Drive,
     y: Float[np.ndarray, "runs time ny"],
     valid: Bool[np.ndarray, "runs time ny"],
+    noise: Float[np.ndarray, "runs ny"],
     past: Float[np.ndarray, "runs steps 3 nu past"] | None,
     begins: Bool[np.ndarray, " runs"] | None,
     carried: State | None,
@@ -118,10 +128,11 @@ def window_starts(
     """Initial states as the first samples of each run tell them, and as a longer run has them.
 
     Args:
-        run: as of `initial_states`, like the next five.
+        run: as of `initial_states`, like the next six.
         heads: what drives the first samples.
         y: outputs there.
         valid: which of them were measured.
+        noise: of their sensors.
         past: how the inputs there change with their levels before the record.
         begins: which runs begin with their record.
         carried: states that a run along the whole record has at each start; not finite ones do not
@@ -151,16 +162,22 @@ def window_starts(
     fixed = known_starts(run.plant, begins, starts.shape[::2])
     if fixed is not None:
         starts = np.where(np.isfinite(fixed)[:, None], fixed[:, None], starts)
-    spread = _spread(y, np.zeros(len(y), int) if owners is None else owners)
+    owners = np.zeros(len(y), int) if owners is None else owners
     pairs = () if past is None else moving_pairs(past)
-    first_samples = _Heads(run, heads, y, valid, period, spread, past, fixed, pairs)
-    estimated, internal = measured.copy(), slice(int(np.sum(measured)), None)
-    estimated[internal][: len(z)] = run.plant.free_internal
-    cost, values = _descend(first_samples, starts, estimated)
-    decided = not np.any(run.plant.open_internal & ~run.plant.free_internal)
-    if decided and past is None and (carried is None or not np.any(run.plant.open_internal)):
-        return values, values
-    return _with_internal(first_samples, _Fit(cost, values), starts, measured, carried)
+    spread = _spread(y, owners)
+    floor = np.maximum(noise, _SETTINGS.rounding * spread)
+    size = floor if y.shape[-1] > 1 else spread  # of a single output it does not matter
+    first_samples = _Heads(run, heads, y, valid, period, size, past, fixed, pairs)
+    for _ in range(_SETTINGS.weighings):
+        fits = _fitted(first_samples, starts, measured, carried)
+        size = np.maximum(_residual_size(first_samples, fits[0], owners), floor)
+        change = np.log(size / first_samples.size)
+        change -= np.mean(change, axis=1, keepdims=True)  # of all outputs alike it is none
+        unsettled = np.max(np.abs(change), axis=1, keepdims=True) > _SETTINGS.settled
+        if not np.any(unsettled):
+            break
+        first_samples = replace(first_samples, size=np.where(unsettled, size, first_samples.size))
+    return fits
 
 
 def _spread(
@@ -171,6 +188,46 @@ def _spread(
     spread = [np.sqrt(np.mean(part, axis=0)) for part in variances]
     each_run = np.repeat(spread, [len(part) for part in variances], axis=0)
     return np.where(each_run > 0, each_run, 1.0)
+
+
+def _residual_size(
+    heads: "_Heads",
+    values: Starts,
+    owners: Int[np.ndarray, " runs"],
+) -> Float[np.ndarray, "runs ny"]:
+    """Standard deviation of what a fit leaves of each output.
+
+    The median over the runs of a record: some may meet what the model lacks, or diverge.
+
+    Args:
+        heads: the first samples.
+        values: of the fit.
+        owners: number of the record of each run.
+    """
+    if heads.size.shape[1] == 1:
+        return heads.size
+    degrees = np.sum(heads.valid, axis=1) - np.asarray(heads.run.plant.degrees)
+    with np.errstate(over="ignore", invalid="ignore"):  # of a run that diverges
+        error = heads.errors(values[:, None])[1].reshape(heads.y.shape) * heads.size[:, None]
+        variance = np.sum(error**2, axis=1) / np.maximum(degrees, 1)
+    size = np.empty_like(heads.size)
+    for owner in np.unique(owners):
+        size[owners == owner] = np.sqrt(np.median(variance[owners == owner], axis=0))
+    return np.where(np.isfinite(size), size, heads.size)
+
+
+def _fitted(
+    heads: "_Heads", starts: Trials, measured: Bool[np.ndarray, " unknowns"], carried: State | None
+) -> tuple[Starts, Starts]:
+    """`window_starts` with some weights of the outputs."""
+    plant = heads.run.plant
+    estimated, internal = measured.copy(), slice(int(np.sum(measured)), None)
+    estimated[internal][: heads.run.internal] = plant.free_internal
+    cost, values = _descend(heads, starts, estimated)
+    decided = not np.any(plant.open_internal & ~plant.free_internal)
+    if decided and heads.past is None and (carried is None or not np.any(plant.open_internal)):
+        return values, values
+    return _with_internal(heads, _Fit(cost, values), starts, measured, carried)
 
 
 class _Fit(NamedTuple):
@@ -362,7 +419,7 @@ class _Heads:
     y: Float[np.ndarray, "runs time ny"]
     valid: Bool[np.ndarray, "runs time ny"]
     period: float
-    spread: Float[np.ndarray, "runs ny"]
+    size: Float[np.ndarray, "runs ny"]  # of the errors of each output
     past: Float[np.ndarray, "runs steps 3 nu past"] | None = None
     fixed: Starts | None = None  # finite where an unknown stays as it is
     pairs: "Pairs" = ()  # `moving_pairs` of the past
@@ -373,9 +430,9 @@ class _Heads:
             return self
         past = None if self.past is None else self.past[runs]
         fixed = None if self.fixed is None else self.fixed[runs]
-        y, valid, spread = self.y[runs], self.valid[runs], self.spread[runs]
+        y, valid, size = self.y[runs], self.valid[runs], self.size[runs]
         heads = self._driving(runs)
-        return replace(self, heads=heads, y=y, valid=valid, spread=spread, past=past, fixed=fixed)
+        return replace(self, heads=heads, y=y, valid=valid, size=size, past=past, fixed=fixed)
 
     def _driving(self, runs: Int[np.ndarray, " some"]) -> Drive:
         """What drives some of the runs; on the host, where another number is no compilation."""
@@ -388,12 +445,12 @@ class _Heads:
     def errors(self, values: Trials) -> tuple[np.ndarray, Float[np.ndarray, "runs trials rows"]]:
         """Squared error of each trial, infinite where it diverges, and the errors.
 
-        Each output counts by its own spread: metres and radians add up to nothing.
+        Each output counts by its own size: metres and radians add up to nothing.
         """
         outputs = self._simulated(values)
         error = np.where(self.valid[:, None], self.y[:, None] - outputs, 0.0)
         with np.errstate(over="ignore", invalid="ignore"):
-            error = error / self.spread[:, None, None]
+            error = error / self.size[:, None, None]
             error = error.reshape(*values.shape[:2], -1)
             cost = np.sum(error**2, axis=-1)
         return np.where(np.isfinite(cost), cost, np.inf), error

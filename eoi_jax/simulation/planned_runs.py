@@ -30,8 +30,9 @@ from eoi_jax.simulation.initial_state import (
 )
 from eoi_jax.simulation.integrator import Drive
 
-# What drives the first samples of some runs, outputs there, which are valid, change with the past.
-Heads = tuple[Drive, np.ndarray, np.ndarray, np.ndarray | None]
+# Of the first samples of some runs: what drives them, outputs, which are valid, the noise of the
+# sensors, change with the past.
+Heads = tuple[Drive, np.ndarray, np.ndarray, np.ndarray, np.ndarray | None]
 
 
 @dataclass(frozen=True)
@@ -57,7 +58,8 @@ class Course:
         """The first `count` samples of runs."""
         samples = np.asarray(starts)[:, None] + np.arange(count)
         y, valid = self.record.outputs[samples], self.record.output_valid[samples]
-        return _parts(self.drive, starts, count - 1), y, valid, self._past(starts, count - 1)
+        noise = np.broadcast_to(self.record.noise, (len(starts), y.shape[-1]))
+        return _parts(self.drive, starts, count - 1), y, valid, noise, self._past(starts, count - 1)
 
     def drives(self, starts: Sequence[int], steps: int, values: Starts) -> Drive:
         """What drives runs of so many samples' steps that start with these values."""
@@ -81,7 +83,7 @@ def planned_runs(
     runs = course.runs
     if not runs.starts:
         return np.zeros((0, runs.steps + 1, course.record.outputs.shape[1])), []
-    heads = course.heads(runs.starts, runs.head)[:3]
+    heads = course.heads(runs.starts, runs.head)[:4]
     declared = values if course.past is None else None  # without levels before the record
     notes = contradicted_start(run, *heads, declared, course.begins, course.record.name)
     return _outputs(run, course, values), notes
@@ -111,7 +113,7 @@ def _fitted(run: Run, courses: Sequence[Course]) -> list[Starts]:
     """Initial values of the runs along records with equally long first samples and windows."""
     parts = [course.heads(course.runs.starts, course.runs.head) for course in courses]
     begins = np.concatenate([course.begins for course in courses])
-    owners = np.repeat(np.arange(len(parts)), [len(y) for _, y, _, _ in parts])
+    owners = np.repeat(np.arange(len(parts)), [len(part[1]) for part in parts])
     fits = window_starts(run, *_joined(parts), begins, _carried(run, courses), owners)
     by_record = zip(*(np.split(fit, np.flatnonzero(np.diff(owners)) + 1) for fit in fits),
                     strict=True)  # fmt: skip
@@ -120,7 +122,7 @@ def _fitted(run: Run, courses: Sequence[Course]) -> list[Starts]:
 
 def _joined(parts: Sequence[Heads]) -> Heads:
     """The first samples of the runs of several records, side by side."""
-    drives, outputs, masks, pasts = zip(*parts, strict=True)
+    drives, outputs, masks, noise, pasts = zip(*parts, strict=True)
     time, step, inputs, last = (
         np.concatenate(arrays)
         for arrays in zip(*((d.time, d.step, d.inputs, d.last) for d in drives), strict=True)
@@ -128,7 +130,8 @@ def _joined(parts: Sequence[Heads]) -> Heads:
     driving = Drive(time, step, inputs, drives[0].substeps, last)
     past = [part for part in pasts if part is not None]
     joined_past = np.concatenate(past) if past else None
-    return driving, np.concatenate(outputs), np.concatenate(masks), joined_past
+    y, valid, levels = (np.concatenate(part) for part in (outputs, masks, noise))
+    return driving, y, valid, levels, joined_past
 
 
 def _outputs(run: Run, course: Course, values: Starts) -> Float[np.ndarray, "runs time ny"]:

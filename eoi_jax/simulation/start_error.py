@@ -1,14 +1,14 @@
 r"""How many samples a free run needs for its start, so that its error does not rule the run.
 
-The start x₀ is the least-squares fit to the first h samples. With the derivatives J of the scaled
-outputs with x₀ and errors of standard deviation s, the start errs by $S^+ \varepsilon$ with S the
-first h rows of J, and the run at the time t by
+The start x₀ is the least-squares fit to the first h samples, each output over the standard
+deviation of its errors. With the derivatives J of these with x₀, S the first h rows of J, and
+errors ε of variance 1, the start errs by $S^+ \varepsilon$, and the run at the time t by
 
-$\sigma_t^2 = J_t S^+ s^2 (S^+)^\top J_t^\top$.
+$\sigma_t^2 = J_t S^+ (S^+)^\top J_t^\top$.
 
-Where what is wrong at the start dies out, or stays as it is, that is a fraction of s. Where it
+Where what is wrong at the start dies out, or stays as it is, that is a fraction of 1. Where it
 grows or swings on (a pendulum near its upper rest, an oscillator that is sampled finely, so that
-fifty samples are little of a period), it may be many times s: a true model then looks wrong. More
+fifty samples are little of a period), it may be many times 1: a true model then looks wrong. More
 samples of the record, up to a third, are then spent on the start: if the model, started anew,
 leaves there no more than it leaves in the first ones. Where it leaves more, it lacks something, and
 a start fitted to more of that is no better.
@@ -33,7 +33,7 @@ class StartErrorSettings:
     """When a run is given more samples for its start.
 
     Attributes:
-        largest: rms of σ_t over the run, over the noise; it then adds a thirtieth to the error.
+        largest: rms of σ_t over the run; it then adds a thirtieth to the error.
         share: of a record that its start may take.
         reach: samples that are simulated, over those of the usual start; what comes later is taken
             to be as in their last quarter.
@@ -75,9 +75,9 @@ def sufficient_start(run: Run, record: Record, head: int) -> int:
     begin = runs.starts[0]
     part = part[begin : min(begin + reach, len(part))]
     begins = first + begin == 0 and not record.continues
-    slopes, noise = _slopes(run, part, head, begins)
+    slopes = _slopes(run, part, head, begins)
     for count in candidates:
-        if _start_error(slopes, part.output_valid, noise, count, len(record)) <= _SETTINGS.largest:
+        if _start_error(slopes, part.output_valid, count, len(record)) <= _SETTINGS.largest:
             quiet = count == head or _as_quiet(run, part, head, count, begins)
             return count if quiet else head
     return head
@@ -116,7 +116,8 @@ def _begun(run: Run, part: Record, head: int, begins: bool) -> _Begun:
     run_drive = acted(run.plant, drive(part.time, part.inputs, part.hold, run.substeps, part.skew))
     first = _lanes(run_drive, 1, run.substeps * (head - 1))
     y, valid = part.outputs[:head], part.output_valid[:head]
-    values = initial_states(run, first, y[None], valid[None], begins=np.asarray([begins]))
+    noise, begin = part.noise[None], np.asarray([begins])
+    values = initial_states(run, first, y[None], valid[None], noise, begins=begin)
     outputs = outputs_of(run.plant, first, states_of(run, values), run.friction)[0]
     degrees = np.maximum(np.sum(valid, axis=0) - run.plant.rows, 1)
     with np.errstate(all="ignore"):  # of a run that diverges
@@ -126,8 +127,8 @@ def _begun(run: Run, part: Record, head: int, begins: bool) -> _Begun:
 
 def _slopes(
     run: Run, part: Record, head: int, begins: bool
-) -> tuple[Float[np.ndarray, "time ny unknowns"], Float[np.ndarray, " ny"]]:
-    """Derivatives of the scaled outputs with their start, and the noise of the scaled outputs."""
+) -> Float[np.ndarray, "time ny unknowns"]:
+    """Derivatives of the outputs, each over its errors in the first samples, with their start."""
     begun = _begun(run, part, head, begins)
     spread = np.std(part.outputs[:head], axis=0)
     spread = np.where(spread > 0, spread, 1.0)
@@ -146,8 +147,8 @@ def _slopes(
     outputs = outputs_of(run.plant, driving, states_of(run, moved), run.friction)
     with np.errstate(all="ignore"):  # of a run that diverges
         change = np.moveaxis(outputs[1:] - outputs[0], 0, -1) / _SETTINGS.difference
-        change = change / spread[:, None]
-    return change, np.maximum(begun.noise / spread, _SETTINGS.noise)
+        floor = np.maximum(part.noise, _SETTINGS.noise * spread)
+        return change / np.maximum(begun.noise, floor)[:, None]
 
 
 def _lanes(run_drive: Drive, lanes: int, steps: int) -> Drive:
@@ -163,16 +164,14 @@ def _lanes(run_drive: Drive, lanes: int, steps: int) -> Drive:
 def _start_error(
     slopes: Float[np.ndarray, "time ny unknowns"],
     valid: np.ndarray,
-    noise: Float[np.ndarray, " ny"],
     count: int,
     samples: int,
 ) -> float:
-    """Rms of σ_t over the run behind its start, over the noise; of the worst output.
+    """Rms of σ_t over the run behind its start; of the worst output.
 
     Args:
-        slopes: of the scaled outputs.
+        slopes: as `_slopes` gives them.
         valid: which samples were measured.
-        noise: of the scaled outputs.
         count: samples of the start.
         samples: of the whole record.
     """
@@ -182,14 +181,13 @@ def _start_error(
     length = np.linalg.norm(start, axis=0)
     scale = np.where(length > 0, length, 1.0)
     inverse = np.linalg.pinv(start / scale, rcond=1e-8)
-    inverse = inverse * np.broadcast_to(noise, (count, len(noise))).ravel()
     covariance = inverse @ inverse.T
     behind = slopes[count:] / scale
     squares = np.einsum("tju,uv,tjv->tj", behind, covariance, behind)
     squares = np.maximum(squares, 0.0)  # by rounding, of a start that the run has forgotten
     late = np.mean(squares[-max(len(squares) // 4, 1) :], axis=0)
     total = np.sum(squares, axis=0) + max(samples - count - len(squares), 0) * late
-    return float(np.sqrt(np.max(total / max(samples - count, 1) / noise**2)))
+    return float(np.sqrt(np.max(total / max(samples - count, 1))))
 
 
 def sufficient_starts(run: Run, records: Sequence[Record], heads: Sequence[int]) -> list[int]:

@@ -42,10 +42,11 @@ def test_a_gap_in_an_output_alone_is_run_through():
     whole, gap = (eoi.validate(CHAIN, record_of(TIME, FEED, y))
                   for y in (Y, without(Y, GAP, 1)))  # fmt: skip
     assert gap.notes == ()
-    np.testing.assert_array_equal(gap.predictions[0].outputs, whole.predictions[0].outputs)
-    # NaN in one output changes nothing of the other's score but for the order of a sum.
-    assert gap.rmse[0] == pytest.approx(whole.rmse[0], rel=1e-12)
-    error = (whole.predictions[0].outputs - Y)[50:, 1]
+    # The noise of fewer samples differs by a little, and so do the weights of the start.
+    predictions = gap.predictions[0].outputs, whole.predictions[0].outputs
+    np.testing.assert_allclose(*predictions, atol=0.02 * SIGMA)
+    assert gap.rmse[0] == pytest.approx(whole.rmse[0], rel=1e-3)
+    error = (gap.predictions[0].outputs - Y)[50:, 1]
     kept = np.r_[0 : GAP.start - 50, GAP.stop - 50 : len(error)]
     assert gap.rmse[1] == pytest.approx(np.sqrt(np.mean(error[kept] ** 2)), rel=1e-12)
 

@@ -164,3 +164,40 @@ def test_a_window_that_starts_late_may_do_so_after_the_last_one():
     runs = judged_runs(PLATE, gap, initial_samples=15, window=49 * PERIOD)
     assert len(runs.notes) == 1
     assert runs.rmse[0] < 2.0 * NOISE
+
+
+def drive_model(speed, outputs=("angle", "speed")):
+    """A turning mass with friction, its angle, and its speed times a factor."""
+    return eoi.plant_from_text(
+        {"angle": "rate", "rate": "(torque - 0.4*rate)/J"}, {"J": 0.35}, outputs=list(outputs),
+        inputs=["torque"], output={"speed": f"{speed}*rate"} if "speed" in outputs else None,
+    )  # fmt: skip
+
+
+def turning(seed, angle_noise, speed_noise):
+    rng = np.random.default_rng(seed)
+    torque = np.repeat(rng.uniform(-5.0, 5.0, 15), 80)[:, None]
+    record = eoi.simulate(drive_model(9.5), 0.01 * np.arange(1200), torque, hold="zero")
+    noise = rng.standard_normal(record.outputs.shape) * [angle_noise, speed_noise]
+    return record.with_outputs(record.outputs + noise, record.name)
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_a_noisy_speed_does_not_spoil_the_starts_of_an_exact_angle(seed):
+    record = turning(seed, 2e-4, 0.5)
+    angle = eoi.Record(record.time, record.inputs, record.outputs[:, 0], hold="zero",
+                       input_names=["torque"], output_names=["angle"])  # fmt: skip
+    alone = judged_runs(drive_model(9.5, ["angle"]), angle, window=1.2)
+    both = judged_runs(drive_model(9.5), record, window=1.2)
+    assert both.rmse[0] < 1.05 * alone.rmse[0]
+
+
+@pytest.mark.parametrize(("noise", "limit"), [((5e-4, 0.5), 1.2), ((0.005, 0.1), 4.0)])
+def test_an_output_that_the_model_misses_does_not_rule_the_starts(noise, limit):
+    """The factor of the speed is wrong by a tenth, that is by 2.6 in its unit.
+
+    By their spread alone outputs would have angles of 148 and 15 times their noise, by their noise
+    alone of 1.4 and 15.
+    """
+    runs = judged_runs(drive_model(10.5), turning(1, *noise), window=1.2)
+    assert runs.rmse[0] < limit * noise[0]

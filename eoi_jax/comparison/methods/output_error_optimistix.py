@@ -296,7 +296,7 @@ def _start(
     y, valid = record.outputs[None, :count], record.output_valid[None, :count]
     begins = np.asarray([not record.continues])
     run = Run(plant, frictional(plant), substeps)
-    values = initial_states(run, lane, y, valid, begins=begins)
+    values = initial_states(run, lane, y, valid, record.noise[None], begins=begins)
     rows, columns = owned(plant)
     spread = _spread(record.outputs, record.output_valid)
     reach = spread[columns] / (count * record.sample_period) ** rows
