@@ -8,6 +8,7 @@ import numpy as np
 from eoi_jax.data.holds import made_alike
 from eoi_jax.data.record import Record
 from eoi_jax.discovery.result import Discovery
+from eoi_jax.discovery.rules import RULES
 from eoi_jax.models.plant import Plant
 from eoi_jax.refinement.refine import refine_once
 from eoi_jax.refinement.result import Refinement
@@ -46,7 +47,18 @@ def with_stated_starts(discovery: Discovery, records: Sequence[Record]) -> Disco
     notes = with_start_check(stated, refit).notes[len(stated.notes) :]
     if not notes:
         return discovery
-    ratios = [fit.rmse / stated.rmse for fit in freed if fit.status.fits]
-    if not min(float(np.max(ratio)) for ratio in ratios) < _SETTINGS.share:
+    if not any(_describes(fit, stated) for fit in freed if fit.status.fits):
         return discovery
     return replace(discovery, notes=(*discovery.notes, *notes))
+
+
+def _describes(freed: Refinement, stated: Refinement) -> bool:
+    """Whether free starts leave noise, or far less than stated ones.
+
+    A start that dies out is little of the error of a long record, also where nothing else is
+    missing.
+    """
+    noise = np.max([record.noise for record in freed.records], axis=0)
+    if np.all(freed.rmse <= RULES.questions.silent * noise):
+        return True
+    return bool(np.all(freed.rmse < _SETTINGS.share * stated.rmse))
