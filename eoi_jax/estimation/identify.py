@@ -25,7 +25,14 @@ from eoi_jax.data.record import Record
 from eoi_jax.data.record_notes import record_notes
 from eoi_jax.data.wrapped_outputs import wrapped_notes
 from eoi_jax.estimation.common_factors import CommonFactor, common_factors
-from eoi_jax.estimation.covariance import Certainty, DeferredCertainty, computed
+from eoi_jax.estimation.covariance import (
+    Certainty,
+    DeferredCertainty,
+    certainty_of_estimate,
+    computed,
+    least_squares_covariance,
+    weighted,
+)
 from eoi_jax.estimation.defaults import (
     default_observer,
     default_transient,
@@ -43,10 +50,8 @@ from eoi_jax.estimation.instrumental_variables import (
 from eoi_jax.estimation.iteration import (
     Iteration,
     IterationHistory,
-    group_by_sample,
     iterate,
     mean,
-    sample_counts,
 )
 from eoi_jax.estimation.kept_signs import without_runaways
 from eoi_jax.estimation.kernel import Steps, Sums, Trace
@@ -68,8 +73,6 @@ from eoi_jax.estimation.preparation import (
     prepare_records,
     prepare_steps,
 )
-from eoi_jax.estimation.regression.least_squares import standard_errors
-from eoi_jax.estimation.regression.robust_covariance import long_run
 from eoi_jax.estimation.regression.sample_rows import sample_rows
 from eoi_jax.estimation.undersampled import resolved
 from eoi_jax.models.check_records import check_records, unit_notes
@@ -462,8 +465,8 @@ class _Driver:
             steps, order = self.steps, list(range(len(records)))
             root = np.sqrt(best.weights[0] * np.asarray(steps.score))
             estimated = np.where(best.bound[0], 0.0, plant.free)
-            error = _weighted(root, np.asarray(trace.injection))
-            phi = _weighted(root[..., None], np.asarray(trace.Phi)) * estimated
+            error = weighted(root, np.asarray(trace.injection))
+            phi = weighted(root[..., None], np.asarray(trace.Phi)) * estimated
             rows = sample_rows(error, phi, None, steps.use, self.substeps, order, [0] * len(order))
         errors = np.asarray(list(computed(certainty).standard_errors.values()))
         return parameter_history(plant, rows, records, errors, self.forgetting)
@@ -480,12 +483,15 @@ class _Driver:
         plant, steps = self.plant, self.steps
         if corrected is None:
             rows = np.asarray(trace.Phi), residual, steps.use, steps.score, self.substeps
-            bound, covariance_of = best.bound[0], partial(_covariance, plant, best, *rows)
+            bound, covariance_of = (
+                best.bound[0],
+                partial(least_squares_covariance, plant, best, *rows),
+            )
         else:
             bound = corrected.bound
             covariance_of = partial(tuple, (corrected.covariance, corrected.degrees_of_freedom))
         certainty = DeferredCertainty(
-            partial(_compute_certainty, plant, covariance_of, bound, status, information)
+            partial(certainty_of_estimate, plant, covariance_of, bound, status, information)
         )
         # A deferred certainty holds the signals in memory.
         return certainty.value if self._signal_size > self.settings.max_deferred else certainty
@@ -541,44 +547,6 @@ class _Driver:
         return arrays
 
 
-@one_thread()
-def _compute_certainty(
-    plant: Plant,
-    covariance_of: Callable[[], tuple[np.ndarray, np.ndarray]],
-    bound: Bool[np.ndarray, " np"],
-    status: Status,
-    information: Float[np.ndarray, "np np"],
-) -> Certainty:
-    covariance, freedom = covariance_of()
-    covariance = np.where(bound | bound[:, None], np.nan, covariance)
-    errors = np.sqrt(np.maximum(np.diagonal(covariance), 0.0))
-    if status.code not in ("no_data", "diverged"):
-        errors = standard_errors(covariance, information, np.where(bound, 0.0, plant.free))
-    pairs = zip(plant.names, errors, strict=True)
-    return Certainty(covariance, freedom, {name: float(error) for name, error in pairs})
-
-
-def _covariance(
-    plant: Plant,
-    best: Iteration,
-    Phi: np.ndarray,
-    residual: np.ndarray,
-    use: Any,
-    score: Any,
-    substeps: int,
-) -> tuple[np.ndarray, np.ndarray]:
-    """Covariance of the least-squares estimate and its degrees of freedom; NaN if not finite."""
-    inverse, free = np.asarray(best.solution.inverse[0]), np.asarray(plant.free)
-    root_weight = np.sqrt(best.weights[0] * np.asarray(score))
-    weighted = _weighted(root_weight, residual), _weighted(root_weight[..., None], Phi)
-    error, rows = (group_by_sample(values, use, substeps) for values in weighted)
-    rows *= np.where(best.bound[0], 0.0, 1.0)  # on a bound the scores do not sum to zero
-    scores = np.einsum("sj,sja->sa", error, rows)
-    if not (np.all(np.isfinite(scores)) and np.any(inverse)):
-        return np.where(np.outer(free, free) > 0, np.nan, 0.0), np.zeros(len(free))
-    return long_run(scores, rows, inverse, sample_counts(use, substeps).tolist())
-
-
 _NOT_USED_FOR = "filter, transient and instruments are chosen without it"
 
 
@@ -595,13 +563,6 @@ def bound_notes(plant: Plant, bound: Bool[np.ndarray, " np"]) -> tuple[str, ...]
         for (name, value), is_on_bound in values
         if is_on_bound
     )
-
-
-def _weighted(root: np.ndarray, values: np.ndarray) -> np.ndarray:
-    """Values times weight; zero where the weight is zero, even if the value is not finite."""
-    with np.errstate(invalid="ignore"):
-        weighted = root * values
-    return weighted if np.all(np.isfinite(weighted)) else np.where(root > 0, weighted, 0.0)
 
 
 def _stack_filters(filters: list[DiscreteFilter]) -> DiscreteFilter:
