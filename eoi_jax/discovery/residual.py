@@ -74,8 +74,7 @@ def views_of(identification: Identification) -> tuple[list[View], PerOutput]:
     plant, lowpass = identification.plant, identification.lowpass
     explicit = identification.observer.scheme == "explicit"
     records = identification.records
-    single = explicit or not any(plant.degrees)
-    substeps = 1 if single else default_substeps(records, lowpass.cutoff)[0]
+    substeps = 1 if explicit else default_substeps(plant, records, lowpass.cutoff)[0]
     sums, Phi = _regressors(identification, substeps)
     observed = np.sqrt(sums.observed_square / np.maximum(sums.weight, 1e-300))
     step = lowpass.cutoff * max(record.sample_period for record in records) / substeps

@@ -42,6 +42,8 @@ from eoi_jax.estimation.observers.observer import AbstractObserver
 from eoi_jax.models.jacobians import derivatives
 from eoi_jax.models.plant import Plant
 from eoi_jax.models.used_inputs import affine_inputs
+from eoi_jax.simulation.step_size import RULES as STEP_RULES
+from eoi_jax.simulation.step_size import fastest_mode
 
 
 @dataclass(frozen=True)
@@ -54,6 +56,9 @@ class DefaultRules:
     max_step: float = 0.012  # cut-off [rad/s] times step [s]
     max_substeps: int = 20  # per sample
     max_samples: int = 2_000_000  # of a record with sub-steps, because of its memory
+    # |λh| of the fastest mode of the internal states, with inputs that move within a step: an error
+    # of 1e-4 of that mode.
+    max_mode: float = 0.05
     # A record below both is not used.
     min_time_constants: float = 20.0  # of F, in the length of a record
     min_length_ratio: float = 0.1  # of its length to that of the longest record
@@ -348,16 +353,25 @@ def default_transient(records: Sequence[Record], lowpass: LowPass, explicit: boo
     return min(10.0 / lowpass.cutoff + (1.0 if explicit else 0.0), 0.2 * shortest)
 
 
-def default_substeps(records: Sequence[Record], cutoff: float) -> tuple[int, list[str]]:
-    """Sub-steps per sample that make the step short against the band of F, and why.
+def default_substeps(
+    plant: Plant, records: Sequence[Record], cutoff: float
+) -> tuple[int, list[str]]:
+    """Sub-steps per sample that make the step short, and why.
 
-    Model and measurement are averaged over a step by kernels that agree to second order: the error
-    at the frequency ω is a share (ω h)²/6 of the highest derivative.
+    For outputs that are differentiated, against the band of F: model and measurement are averaged
+    over a step by kernels that agree to second order, and the error at the frequency ω is a share
+    (ω h)²/6 of the highest derivative. Where all outputs are functions of the states (relative
+    degree 0), against the fastest mode of the internal states.
+
+    Args:
+        plant: with its parameter values.
+        records: as measured.
+        cutoff: of F [rad/s].
     """
+    if not any(plant.degrees):
+        return _mode_substeps(plant, records)
     period = max(record.sample_period for record in records)
-    longest = max(len(record) for record in records)
-    wanted = int(np.ceil(cutoff * period / _RULES.max_step))
-    substeps = max(min(wanted, _RULES.max_substeps, _RULES.max_samples // longest), 1)
+    substeps = _limited(cutoff * period / _RULES.max_step, records)
     if substeps == 1:
         return 1, []
     error = (cutoff * period / substeps) ** 2 / 6.0
@@ -366,6 +380,41 @@ def default_substeps(records: Sequence[Record], cutoff: float) -> tuple[int, lis
         f"{substeps**2 * error:.2g} to {error:.2g} of the highest derivative"
     )
     return substeps, [reason]
+
+
+def _mode_substeps(plant: Plant, records: Sequence[Record]) -> tuple[int, list[str]]:
+    """Sub-steps per sample that follow the fastest mode λ of the internal states, and why.
+
+    A step takes its inputs as constant. Of those that move within it, λ passes on all but a share
+    (λh)²/24; of those that are held, a step of the Runge-Kutta rule misses (λh)⁵/120.
+    """
+    if plant.internal is None:
+        return 1, []
+    rates = [fastest_mode(plant, record) for record in records]
+    shares = [rate * record.sample_period for rate, record in zip(rates, records, strict=True)]
+    fastest = int(np.argmax(shares))
+    constant = plant.actuator is None and all(set(record.holds) <= {"zero"} for record in records)
+    longest = STEP_RULES.mode if constant else _RULES.max_mode
+    substeps = _limited(shares[fastest] / longest, records)
+    if substeps == 1:
+        return 1, []
+    errors = [
+        (share**5 / 120.0 if constant else share**2 / 24.0)
+        for share in (shares[fastest], shares[fastest] / substeps)
+    ]
+    reason = (
+        f"{substeps} sub-steps a sample: the discretisation error at the fastest mode of the "
+        f"internal states, {rates[fastest]:.4g} rad/s, falls from {errors[0]:.2g} to "
+        f"{errors[1]:.2g}"
+    )
+    return substeps, [reason]
+
+
+def _limited(wanted: float, records: Sequence[Record]) -> int:
+    """So many sub-steps, rounded up, or as many as the memory allows."""
+    longest = max(len(record) for record in records)
+    most = max(min(_RULES.max_substeps, _RULES.max_samples // longest), 1)
+    return int(np.ceil(np.clip(wanted, 1, most)))
 
 
 def _build(

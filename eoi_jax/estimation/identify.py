@@ -35,6 +35,7 @@ from eoi_jax.estimation.covariance import (
 )
 from eoi_jax.estimation.defaults import (
     default_observer,
+    default_substeps,
     default_transient,
     precision_notes,
     short_record_notes,
@@ -198,7 +199,8 @@ def identify(
         transient: time at the start of each record that is not scored [s]; by default ten time
             constants of F, or the record's `burn_in` if that is longer.
         substeps: steps per sample, on a quintic spline through the record; by default as many as
-            make the step short against the band of F, 1 for the explicit form.
+            make the step short against the band of F, or, where all outputs are functions of the
+            states, against the fastest mode of the internal states; 1 for the explicit form.
         smoothing: cut-off [rad/s] of a zero-phase filter on outputs, and inputs in which the model
             is affine, some times that of `lowpass`; False for none; by default chosen where the
             measurement noise hides the velocity.
@@ -231,10 +233,14 @@ def identify(
         check_observer(plant, observer)
     explicit = observer is not None and observer.scheme == "explicit"
     checked, evidence = decided(plant, checked, trial_fit, lowpass)
-    prepared = prepare_records(plant, checked, lowpass, smoothing, substeps, explicit)
     measured = *clipped_notes(checked), *deadband_notes(checked), *wrapped_notes(checked, False)
-    reasons = *evidence, *prepared.reasons, *measured, *unit_notes(plant, checked)
-    prepared = replace(prepared, reasons=reasons)
+
+    def prepare(model: Plant) -> PreparedRecords:
+        fresh = prepare_records(model, checked, lowpass, smoothing, substeps, explicit)
+        reasons = *evidence, *fresh.reasons, *measured, *unit_notes(plant, checked)
+        return replace(fresh, reasons=reasons)
+
+    prepared = prepare(plant)
     # The explicit form is the paper's method; in single precision second differences are rounding.
     plain_only = explicit or jnp.result_type(float) != jnp.float64
 
@@ -254,6 +260,13 @@ def identify(
     fit = refit(plant)
     if not fit.status.fits:
         return fit
+    if substeps is None and not explicit:
+        wanted, _ = default_substeps(fit.plant, prepared.records, prepared.lowpass.cutoff)
+        if wanted >= 2 * prepared.substeps:
+            prepared = prepare(fit.plant)
+            fit = replace(refit(fit.plant), nominal=plant)
+            if not fit.status.fits:
+                return fit
     return without_runaways(plant, fit, refit, lambda result: float(np.log(mean_index(result))))
 
 
@@ -483,10 +496,8 @@ class _Driver:
         plant, steps = self.plant, self.steps
         if corrected is None:
             rows = np.asarray(trace.Phi), residual, steps.use, steps.score, self.substeps
-            bound, covariance_of = (
-                best.bound[0],
-                partial(least_squares_covariance, plant, best, *rows),
-            )
+            bound = best.bound[0]
+            covariance_of = partial(least_squares_covariance, plant, best, *rows)
         else:
             bound = corrected.bound
             covariance_of = partial(tuple, (corrected.covariance, corrected.degrees_of_freedom))

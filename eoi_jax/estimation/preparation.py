@@ -235,8 +235,7 @@ def prepare_records(
     if smoothing:
         records = tuple(smoothed(plant, record, smoothing) for record in records)
     if substeps is None:
-        single = explicit or not any(plant.degrees)
-        substeps, reason = (1, []) if single else default_substeps(records, lowpass.cutoff)
+        substeps, reason = (1, []) if explicit else default_substeps(plant, records, lowpass.cutoff)
         reasons += reason
     fine = tuple(record.resample(substeps) for record in records)
     inputs = tuple(step_inputs(record, explicit) for record in fine)

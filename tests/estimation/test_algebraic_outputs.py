@@ -178,6 +178,17 @@ def test_a_mass_is_identified_from_its_acceleration():
         assert error < 2e-3 * ACCELEROMETER[name]
 
 
+@pytest.mark.parametrize("k", [80.0, 20.0])  # of 100: a start from which the modes look slow
+def test_steps_follow_the_modes_of_the_states(k):
+    """At 20 Hz and 5.8 rad/s: steps of a sample miss 0.4 % of the mode, 4 errors of b."""
+    record = shaken(noise=0.02, period=0.05).with_hold("smooth")
+    result = identify(accelerometer(b=3.0, k=k), record)
+    for name in ("b", "k"):
+        error = abs(result.parameters[name] - ACCELEROMETER[name])
+        assert error < 3.0 * result.standard_errors[name]
+    assert any("6 sub-steps a sample" in reason for reason in result.reasons)
+
+
 @pytest.mark.parametrize(
     "observer", [None, PerOutput((SecondOrder(18.0, 170.0, 25.0), Measurement()))]
 )

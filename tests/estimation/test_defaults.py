@@ -259,8 +259,8 @@ def test_a_model_that_is_not_finite_somewhere_still_gets_a_finite_relay():
 
 def test_substeps_make_the_step_short_against_the_filter_and_say_so():
     record = made(samples=401, h=1e-2)
-    assert default_substeps([record], 0.1) == (1, [])  # ω h = 1e-3 already
-    substeps, (reason,) = default_substeps([record], 30.0)
+    assert default_substeps(PLANT, [record], 0.1) == (1, [])  # ω h = 1e-3 already
+    substeps, (reason,) = default_substeps(PLANT, [record], 30.0)
     assert reason.startswith(f"{substeps} sub-steps a sample")
     found = re.search(r"from ([\d.e-]+) to ([\d.e-]+) of the highest derivative", reason)
     assert found
@@ -272,7 +272,26 @@ def test_substeps_make_the_step_short_against_the_filter_and_say_so():
 
 def test_substeps_follow_the_slowest_record():
     fast, slow = made(samples=401, h=1e-3), made(samples=401, h=1e-2)
-    assert default_substeps([fast, slow], 30.0)[0] == default_substeps([slow], 30.0)[0]
+    assert (
+        default_substeps(PLANT, [fast, slow], 30.0)[0] == default_substeps(PLANT, [slow], 30.0)[0]
+    )
+
+
+@pytest.mark.parametrize(
+    ("hold", "rate", "wanted"),
+    [("zero", 40.0, 1), ("zero", 400.0, 8), ("smooth", 4.0, 1), ("smooth", 40.0, 8)],
+)
+def test_substeps_follow_internal_states_where_no_output_is_differentiated(hold, rate, wanted):
+    """|λh| of a step is at most 0.5 with held inputs, 0.05 with such that move within it."""
+    plant = Plant(
+        lambda t, x, u, p: x.z[0], {"a": rate}, 0, internal=lambda t, x, u, p: p.a * (u - x.z),
+        internal_initial=(0.0,),
+    )  # fmt: skip
+    record = made(samples=401, h=1e-2).with_hold(hold)
+    substeps, reasons = default_substeps(plant, [record], 30.0)
+    assert substeps == wanted
+    assert all(f"the internal states, {rate:g} rad/s" in reason for reason in reasons)
+    assert len(reasons) == (wanted > 1)
 
 
 def test_quiet_cutoff_is_that_of_every_frequency_by_itself():
