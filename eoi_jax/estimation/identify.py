@@ -58,12 +58,13 @@ from eoi_jax.estimation.kept_signs import without_runaways
 from eoi_jax.estimation.kernel import Steps, Sums, Trace
 from eoi_jax.estimation.lowpass import DiscreteFilter, LowPass
 from eoi_jax.estimation.observers.observer import AbstractObserver
-from eoi_jax.estimation.outcome import outcome
+from eoi_jax.estimation.outcome import outcome, sliding_notes
 from eoi_jax.estimation.parameter_history import (
     ParameterHistory,
     check_forgetting,
     parameter_history,
 )
+from eoi_jax.estimation.part_estimates import Part, prepared_parts, with_own_drifts
 from eoi_jax.estimation.preparation import (
     TAPER,
     PreparedRecords,
@@ -172,6 +173,11 @@ class Identification(Result):
         return computed(self.certainty).degrees_of_freedom
 
 
+BiasCorrection = Callable[
+    [Plant, Iteration, AbstractObserver], tuple[InstrumentalEstimate | None, tuple[str, ...]]
+]
+
+
 @one_thread()
 def identify(
     plant: Plant,
@@ -243,31 +249,66 @@ def identify(
     prepared = prepare(plant)
     # The explicit form is the paper's method; in single precision second differences are rounding.
     plain_only = explicit or jnp.result_type(float) != jnp.float64
+    plain = plain_only if instruments is None else not instruments
 
-    def correction(estimated: Plant, best: Iteration, used: AbstractObserver) -> tuple:
-        return correct_bias(
-            estimated, best, checked, prepared, used, bool(instruments), by_sample=recursive
-        )
-
-    plain = instruments is False or (instruments is None and plain_only)
-    used = None if plain else correction
+    correction = partial(_correction, plain, bool(instruments), recursive)
 
     def refit(model: Plant) -> Identification:
         return estimate(
-            model, prepared, observer, passes, transient, callback, used, forgetting=factor
-        )
+            model, prepared, observer, passes, transient, callback,
+            correction(prepared, checked), forgetting=factor,
+        )  # fmt: skip
 
     fit = refit(plant)
-    if not fit.status.fits:
-        return fit
-    if substeps is None and not explicit:
+    if substeps is None and not explicit and fit.status.fits:
         wanted, _ = default_substeps(fit.plant, prepared.records, prepared.lowpass.cutoff)
         if wanted >= 2 * prepared.substeps:
             prepared = prepare(fit.plant)
             fit = replace(refit(fit.plant), nominal=plant)
-            if not fit.status.fits:
-                return fit
-    return without_runaways(plant, fit, refit, lambda result: float(np.log(mean_index(result))))
+    if not fit.status.fits:
+        return fit
+    fit = without_runaways(plant, fit, refit, lambda result: float(np.log(mean_index(result))))
+    if transient is None:
+        transient = default_transient(prepared.records, prepared.lowpass, explicit)
+    by_parts = partial(_fit_of_parts, fit, prepared, checked, passes, transient, correction)
+    return with_own_drifts(fit, transient, by_parts)
+
+
+def _correction(
+    plain: bool,
+    requested: bool,
+    by_sample: bool,
+    prepared: PreparedRecords,
+    measured: Sequence[Record],
+) -> BiasCorrection | None:
+    """That of an estimate from these records; None where it is to stay plain."""
+
+    def correct(plant: Plant, best: Iteration, observer: AbstractObserver) -> tuple:
+        return correct_bias(plant, best, measured, prepared, observer, requested, by_sample)
+
+    return None if plain else correct
+
+
+def _fit_of_parts(
+    fit: Identification,
+    prepared: PreparedRecords,
+    measured: Sequence[Record],
+    passes: int,
+    transient: float,
+    correction: Callable[[PreparedRecords, Sequence[Record]], BiasCorrection | None],
+    parts: Sequence[Part],
+) -> Identification | None:
+    """An estimate like that of all records, from parts of them; None where they are too short."""
+    parts = [part for part in parts if part.duration(measured) > 2.0 * transient]
+    if not parts:
+        return None
+    chosen = prepared_parts(prepared, parts)
+    unscored = tuple(part.unscored for part in parts)
+    cut = tuple(part.cut(measured[part.record]) for part in parts)
+    corrected = None if any(unscored) else correction(chosen, cut)
+    return estimate(
+        fit.plant, chosen, fit.observer, passes, transient, None, corrected, unscored=unscored
+    )
 
 
 def trial_fit(plant: Plant, prepared: PreparedRecords, passes: int) -> Identification:
@@ -298,11 +339,6 @@ def mean_index(fit: Identification) -> float:
     return geometric_mean(fit.index[fit.best_pass])
 
 
-BiasCorrection = Callable[
-    [Plant, Iteration, AbstractObserver], tuple[InstrumentalEstimate | None, tuple[str, ...]]
-]
-
-
 def estimate(
     plant: Plant,
     prepared: PreparedRecords,
@@ -315,6 +351,7 @@ def estimate(
     forgetting: float | None = None,
     course: Plant | None = None,
     z_start: Float[np.ndarray, "records nz _"] | None = None,
+    unscored: Sequence[int] = (),
 ) -> Identification:
     """`identify` on prepared records, which several models of the same outputs may share.
 
@@ -332,6 +369,7 @@ def estimate(
         course: model by which outputs move between the samples; None: `plant`, then the estimate.
         z_start: as of `Steps`. None: free starts are estimated first, as parameters beside those of
             the model.
+        unscored: samples at the start of each record that drive the model and are not scored.
     """
     stated = observer
     prepared = prepared.interpolated_by(course or plant)
@@ -348,13 +386,16 @@ def estimate(
     if z_start is None:
         z_start = settled_starts(
             plant, prepared.fine, passes, lambda model, count, starts: estimate(
-                model, prepared, observer, count, transient, course=plant, z_start=starts).plant,
+                model, prepared, observer, count, transient, course=plant, z_start=starts,
+                unscored=unscored).plant,
         )  # fmt: skip
     steps = prepare_steps(
         plant, resampled, prepared.inputs, len(np.atleast_2d(np.asarray(observer.kernel))[0]),
         transient, lowpass.memory, prepared.velocity_noise, explicit, TAPER / lowpass.cutoff,
         substeps=prepared.substeps, z_start=z_start,
     )  # fmt: skip
+    for score, count in zip(steps.score, unscored, strict=False):
+        score[: count * prepared.substeps] = 0.0
     filters = _stack_filters([lowpass.discretise(record.sample_period) for record in resampled])
     notes = [*record_notes(prepared.records), *pass_start_notes(plant, prepared.records, z_start)]
     notes += short_record_notes(prepared.records, lowpass.cutoff, _NOT_USED_FOR)
@@ -365,7 +406,7 @@ def estimate(
     fit = driver.run(prepared.records, lowpass, reasons, (*notes, *precision_notes()))
     if again and fit.status.fits:
         return estimate(plant, prepared, stated, passes, transient, callback, bias_correction,
-                        settings, forgetting, fit.plant)  # fmt: skip
+                        settings, forgetting, fit.plant, unscored=unscored)  # fmt: skip
     return fit
 
 
@@ -414,7 +455,6 @@ class _Driver:
         completed = slice(int(history.passes[0]))
         certainty = self._make_certainty(best, trace, residual, corrected, status, information)
         over_time = self._over_time(plant, best, trace, corrected, records, certainty, status)
-        drifts = () if over_time is None else over_time.drifts
         return Identification(
             parameters=plant.parameters,
             index=history.index[0, completed],
@@ -433,10 +473,7 @@ class _Driver:
             observer=self.observer,
             lowpass=lowpass,
             reasons=reasons,
-            notes=(
-                *(*notes, *_sliding_note(plant, sliding), *bound_notes(plant, bound)),
-                *(drift.sentence for drift in drifts),
-            ),
+            notes=(*notes, *sliding_notes(plant, sliding), *bound_notes(plant, bound)),
             records=records,
             certainty=certainty,
             information=information,
@@ -578,15 +615,3 @@ def bound_notes(plant: Plant, bound: Bool[np.ndarray, " np"]) -> tuple[str, ...]
 
 def _stack_filters(filters: list[DiscreteFilter]) -> DiscreteFilter:
     return jax.tree.map(lambda *leaves: np.stack(leaves), *filters)
-
-
-def _sliding_note(plant: Plant, sliding: np.ndarray) -> tuple[str, ...]:
-    outputs = [name for name, share in zip(plant.outputs, sliding, strict=True) if share < 0.9]
-    if not outputs:
-        return ()
-    shares = ", ".join(f"{share:.0%}" for share in sliding)
-    note = (
-        f"in sliding mode in only {shares} of the scored steps ({', '.join(outputs)}): the "
-        "injection is not the model's error while the relay saturates. Raise its gain"
-    )
-    return (note,)

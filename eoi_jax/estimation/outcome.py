@@ -65,6 +65,24 @@ def _rises_again(
     return bool(np.sum(changes > 0.0) >= max(rises, share * len(changes)))
 
 
+def sliding_notes(plant: Plant, sliding: Float[np.ndarray, " ny"]) -> tuple[str, ...]:
+    """A sentence where outputs leave the sliding mode.
+
+    Args:
+        plant: with its outputs.
+        sliding: share of scored steps in sliding mode.
+    """
+    outputs = [name for name, share in zip(plant.outputs, sliding, strict=True) if share < 0.9]
+    if not outputs:
+        return ()
+    shares = ", ".join(f"{share:.0%}" for share in sliding)
+    note = (
+        f"in sliding mode in only {shares} of the scored steps ({', '.join(outputs)}): the "
+        "injection is not the model's error while the relay saturates. Raise its gain"
+    )
+    return (note,)
+
+
 _CONSTANT_OUTPUTS = (
     "the outputs ({}) are constant throughout, so that no parameter leaves a trace: excite the "
     "plant, or check which columns are read"

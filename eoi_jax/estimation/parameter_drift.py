@@ -1,11 +1,15 @@
 r"""Parameters that are not constant along the records.
 
-At every candidate time the record is split in two, and the estimates of both parts are compared by
-Wald's statistic. At its maximum each parameter's difference is judged, with σ² from the residuals
-of parameters that are polynomials of time before and after it: those of constant ones would count a
-drift as noise. As in `robust_covariance.py`, σ² is the mean square of the scores' cosine
-coefficients, here without the lowest ones, which the polynomials take. The chance that the largest
-of many statistics exceeds c is, for samples between the shares q and 1 - q of a record,
+At every candidate time the record is split in two, and the estimates of both parts, by one linear
+step from that of all samples, are compared by Wald's statistic. At its maximum each parameter's
+difference is judged, with σ² from the residuals of parameters that are polynomials of time before
+and after it: those of constant ones would count a drift as noise. As in `robust_covariance.py`, σ²
+is the mean square of the scores' cosine coefficients, here without the lowest ones, which the
+polynomials take. Where a model is not linear in its parameters one step is not enough: what is
+told are the estimates of both parts by themselves (`part_estimates.py`).
+
+The chance that the largest of many statistics exceeds c is, for samples between the shares q and
+1 - q of a record,
 
     P ≈ √(c/2π) e^(-c/2) [(1 - 1/c) log((1-q)²/q²) + 2/c]
 
@@ -14,8 +18,9 @@ Andrews, Econometrica 61 (1993) 821), times the number of parameters.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import accumulate, pairwise
+from typing import Any
 
 import numpy as np
 from jaxtyping import Float, Int
@@ -40,6 +45,7 @@ class DriftSettings:
     independent: float = 8.0  # independent samples for each parameter of the polynomials of one θ
     min_cosines: int = 4
     min_change: float = 1e-3  # over the larger value; discretisation may change one by less
+    min_deviations: float = 3.0  # standard errors of estimates of both parts by themselves
     max_probability: float = 1e-3  # of such a change by chance, over all times and parameters
 
 
@@ -58,6 +64,9 @@ class ParameterDrift:
         errors: their standard errors.
         probability: of such a change by chance.
         unit: of the parameter.
+        place: of the change, index of the record and of the sample in it.
+        degrees_of_freedom: of the noise by which it is judged.
+        tested: parameters of which changes were sought.
     """
 
     parameter: str
@@ -68,6 +77,9 @@ class ParameterDrift:
     errors: tuple[float, float]
     probability: float
     unit: str = ""
+    place: tuple[int, int] = (0, 0)
+    degrees_of_freedom: float = np.inf
+    tested: int = 1
 
     @property
     def sentence(self) -> str:
@@ -101,23 +113,63 @@ def find_drifts(
     noise = _residual_variance(rows, used, split, earlier + after, settings)
     if noise is None:
         return ()
-    place, theta = records[rows.record[split]], np.asarray(plant.theta)[used]
+    place = int(rows.record[split]), int(rows.sample[split])
+    record, theta = records[place[0]], np.asarray(plant.theta)[used]
     values = [theta + part.estimate for part in (earlier, after)]
     variances = [noise[0] * np.diagonal(part.covariance) for part in (earlier, after)]
     drifts = []
     for k, i in enumerate(used):
-        total = variances[0][k] + variances[1][k]
-        single = _chance(values[1][k] - values[0][k], total, noise[1], settings)
-        chance = min(single * len(used), 1.0)
-        least = settings.min_change * max(abs(values[0][k]), abs(values[1][k]))
-        if chance <= settings.max_probability and abs(values[1][k] - values[0][k]) > least:
-            name = plant.names[i]
-            errors = float(np.sqrt(variances[0][k])), float(np.sqrt(variances[1][k]))
-            time = float(place.time[rows.sample[split]])
-            ends = float(values[0][k]), float(values[1][k])
-            unit = plant.units.get(name, "")
-            drifts.append(ParameterDrift(name, place.name, time, *ends, errors, chance, unit))
-    return tuple(drifts)
+        drift = ParameterDrift(
+            parameter=plant.names[i],
+            record=record.name,
+            time=float(record.time[place[1]]),
+            before=float(values[0][k]),
+            after=float(values[1][k]),
+            errors=(float(np.sqrt(variances[0][k])), float(np.sqrt(variances[1][k]))),
+            probability=1.0,
+            unit=plant.units.get(plant.names[i], ""),
+            place=place,
+            degrees_of_freedom=noise[1],
+            tested=len(used),
+        )
+        drifts.append(_judged(drift, drift.errors, settings))
+    return tuple(drift for drift in drifts if drift is not None)
+
+
+def own_drifts(
+    drifts: Sequence[ParameterDrift], fits: Sequence[Any], settings: DriftSettings = _SETTINGS
+) -> tuple[ParameterDrift, ...]:
+    """Drifts as two estimates say, those of the samples before and after the change.
+
+    A change counts where it is more than the noise explains that the linear step is judged by, and
+    some standard errors of the estimates: these contain what drifts on both sides of the change.
+
+    Args:
+        drifts: by a linear step, all with one change.
+        fits: two `Identification`s.
+        settings: when a change counts.
+    """
+    judged = []
+    for drift in drifts:
+        before, after = (fit.parameters[drift.parameter] for fit in fits)
+        errors = tuple(fit.standard_errors[drift.parameter] for fit in fits)
+        if abs(after - before) > settings.min_deviations * np.hypot(*errors):
+            changed = replace(drift, before=before, after=after, errors=errors)
+            judged.append(_judged(changed, drift.errors, settings))
+    return tuple(drift for drift in judged if drift is not None)
+
+
+def _judged(
+    drift: ParameterDrift, errors: tuple[float, float], settings: DriftSettings
+) -> ParameterDrift | None:
+    """The drift with its probability, given these standard errors; None where it is none."""
+    change, variance = abs(drift.after - drift.before), float(np.sum(np.square(errors)))
+    single = _chance(change, variance, drift.degrees_of_freedom, settings)
+    probability = min(single * drift.tested, 1.0)
+    least = settings.min_change * max(abs(drift.before), abs(drift.after))
+    if not (probability <= settings.max_probability and change > least):
+        return None
+    return replace(drift, probability=probability)
 
 
 def _most_likely_split(
@@ -129,6 +181,21 @@ def _most_likely_split(
     """The sample from which on the estimate differs most, and the sums before and after it."""
     edges = np.linspace(settings.margin, 1.0 - settings.margin, settings.candidates)
     places = np.unique(scored[(edges * (len(scored) - 1)).astype(int)]) if len(scored) else scored
+    best = _best_split(rows, used, places)
+    if best is None:
+        return None
+    # The samples between the neighbours of the best candidate.
+    middle = int(np.searchsorted(places, best[0]))
+    ends = places[max(middle - 1, 0)], places[min(middle + 1, len(places) - 1)]
+    close = scored[(scored >= ends[0]) & (scored <= ends[1])]
+    chosen = np.linspace(0, len(close) - 1, min(len(close), settings.candidates)).astype(int)
+    return _best_split(rows, used, close[chosen]) or best
+
+
+def _best_split(
+    rows: SampleRows, used: Int[np.ndarray, " k"], places: Int[np.ndarray, " some"]
+) -> tuple[int, NormalEquations, NormalEquations] | None:
+    """Of these samples that with the largest statistic of Wald, and the sums before and after."""
     if not len(places):
         return None
     zeta, phi = rows.zeta[..., used], rows.regressors[..., used]

@@ -11,9 +11,12 @@ from scipy.signal import lfilter
 
 import eoi_jax as eoi
 from eoi_jax.estimation import parameter_recursion
+from eoi_jax.estimation.identify import estimate
 from eoi_jax.estimation.parameter_drift import find_drifts
 from eoi_jax.estimation.parameter_history import ParameterHistory
 from eoi_jax.estimation.parameter_recursion import RecursionSettings, recursion_over_rows
+from eoi_jax.estimation.part_estimates import Part, sides_of_change
+from eoi_jax.estimation.preparation import prepare_records
 from eoi_jax.estimation.regression.recursive_least_squares import RecursiveLeastSquares
 from eoi_jax.estimation.regression.sample_rows import SampleRows
 
@@ -28,7 +31,7 @@ def plant(**options):
     )  # fmt: skip
 
 
-def measured(stiffness=lambda t: 4.0, seed=1, noise=0.0, duration=20.0, name="run"):
+def measured(stiffness=lambda t: 4.0, seed=1, noise=0.0, duration=20.0, name="run", mass=1.0):
     """A mass on a spring whose stiffness may depend on time, under random levels of force."""
     draw = np.random.default_rng(seed)
     time = np.arange(0.0, duration, H)
@@ -36,7 +39,7 @@ def measured(stiffness=lambda t: 4.0, seed=1, noise=0.0, duration=20.0, name="ru
     state, positions = np.zeros(2), [0.0]
 
     def rate(state, u, t):
-        return np.array([state[1], u - 0.4 * state[1] - stiffness(t) * state[0]])
+        return np.array([state[1], (u - 0.4 * state[1] - stiffness(t) * state[0]) / mass])
 
     for t, u in zip(time[:-1], force[:-1], strict=True):
         for part in range(4):
@@ -117,6 +120,65 @@ def test_a_stiffness_that_changes_is_found_and_one_that_does_not_is_not(kind, no
         np.testing.assert_allclose((drift.before, drift.after), (4.0, 4.2), atol=0.02)
     constant = eoi.identify(plant(), measured(noise=noise, duration=40.0), **options)
     assert history_of(constant).drifts == ()
+
+
+def heavy():
+    """The same with a mass, in which the acceleration is not linear."""
+    return eoi.Plant(
+        lambda t, x, u, p: [(u[0] - p.c * x.y[1, 0] - p.k * x.y[0, 0]) / p.m],
+        inputs=("force",), outputs=("position",), relative_degree=2,
+        parameters={"m": 1.2, "c": 0.3, "k": 3.0},
+    )  # fmt: skip
+
+
+def test_values_on_both_sides_of_a_change_are_estimates_of_their_own():
+    """One linear step from the estimate of all says 0.925 and 1.53, and that c changes, too."""
+    records = [measured(seed=3, noise=1e-3, name="empty"),
+               measured(seed=4, noise=1e-3, name="full", mass=1.6)]  # fmt: skip
+    result = eoi.identify(heavy(), records, recursive=True)
+    (drift,) = history_of(result).drifts
+    assert drift.parameter == "m"
+    for value, error, mass in zip(
+        (drift.before, drift.after), drift.errors, (1.0, 1.6), strict=True
+    ):
+        assert abs(value - mass) < 4.0 * error < 0.02
+    assert [note for note in result.notes if note == drift.sentence]
+
+
+def test_a_change_within_a_record_is_told_by_estimates_too(tmp_path):
+    record = measured(lambda t: 4.0 if t < 18.0 else 6.0, seed=3, noise=1e-3, duration=40.0)
+    result = eoi.identify(heavy(), record, recursive=True)
+    (drift,) = history_of(result).drifts
+    assert drift.parameter == "k"
+    assert abs(drift.time - 18.0) < 1.0
+    for value, error, stiffness in zip(
+        (drift.before, drift.after), drift.errors, (4.0, 6.0), strict=True
+    ):
+        assert abs(value - stiffness) < 4.0 * error < 0.1
+    result.save(tmp_path / "run.npz")
+    assert eoi.load(tmp_path / "run.npz").history.drifts == (drift,)
+
+
+def test_hidden_states_are_driven_from_the_start_of_the_record_on():
+    """Of other plants the samples after a change are a record; scored are the same ones."""
+    records = [measured(duration=20.0), measured(duration=20.0)]
+    hidden = plant(internal=lambda t, x, u, p: -x.z, internal_initial=(0.0,))
+    whole, empty = Part(1, 0, 2000), Part(0, 0, 900)
+    assert sides_of_change(plant(), records, (0, 1000), 1.0) == (
+        (empty,), (Part(0, 1000, 2000), whole),
+    )  # fmt: skip
+    assert sides_of_change(hidden, records, (0, 1000), 1.0) == (
+        (empty,), (Part(0, 0, 2000, 1100), whole),
+    )  # fmt: skip
+    # So near to a border that the change comes from record to record.
+    for place in ((0, 1950), (1, 150)):
+        assert sides_of_change(hidden, records, place, 1.0) == ((Part(0, 0, 2000),), (whole,))
+    prepared = prepare_records(hidden, (measured(noise=1e-3),))
+    fit = estimate(hidden, prepared, transient=1.0, unscored=(800,))
+    burnt = measured(noise=1e-3)
+    burnt = eoi.Record(burnt.time, burnt.inputs, burnt.outputs, hold="zero", burn_in=8.0)
+    same = estimate(hidden, prepare_records(hidden, (burnt,)), transient=1.0)
+    np.testing.assert_allclose(fit.plant.theta, same.plant.theta, rtol=1e-9)
 
 
 def test_with_forgetting_it_follows_a_change():
