@@ -9,7 +9,6 @@ answer, the records ask for different parameters.
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from itertools import combinations
 
 import numpy as np
 from jaxtyping import Float
@@ -22,6 +21,7 @@ from eoi_jax.models.augmented import Placed, added_effects, augmented
 from eoi_jax.models.effects import PRODUCTS, Drift, ParameterDependence, SinusoidalDisturbance
 from eoi_jax.models.effects.effect import AbstractEffect
 from eoi_jax.models.plant import Plant
+from eoi_jax.refinement.record_check import differing_parameters, mean_ratio, pooled_errors
 from eoi_jax.refinement.refine import refine_once
 from eoi_jax.refinement.remaining import Remaining, remaining
 from eoi_jax.refinement.result import Refinement
@@ -105,10 +105,10 @@ class OwnFits:
         model = fits[0].plant
         starts = [model.with_parameters(fit.parameters) for fit in fits[: _RULES.starts]]
         common = [joint, *(self._refined(plant, self.records) for plant in starts)]
-        errors = _errors(fits, self.records)
-        ratios = [_mean_ratio(errors, fit.rmse) for fit in common if fit.status.fits]
+        errors = pooled_errors(fits, self.records)
+        ratios = [mean_ratio(errors, fit.rmse) for fit in common if fit.status.fits]
         ratio = max(ratios)
-        differing = _differing(fits)
+        differing = differing_parameters(fits, _RULES.deviations)
         if not (ratio < _RULES.ratio and differing):
             return None
         if self._chance(fits, ratio) > self.level:
@@ -119,7 +119,7 @@ class OwnFits:
     def _is_left(self, joint: Refinement) -> bool:
         """Whether a fit with common parameters leaves so much that errors could fall to a third."""
         noise = np.max([record.noise for record in self.records], axis=0)
-        return _mean_ratio(noise, joint.rmse) < _RULES.ratio
+        return mean_ratio(noise, joint.rmse) < _RULES.ratio
 
     def _described(self) -> Fits | None:
         """Fits of the model that describes each record; None where none does."""
@@ -170,7 +170,7 @@ class OwnFits:
 
     def _cost(self, fits: Fits) -> float:
         """Mean logarithm of the errors, and what each parameter must lower them by."""
-        errors = np.log(_errors(fits, self.records))
+        errors = np.log(pooled_errors(fits, self.records))
         return float(np.mean(errors)) + RULES.judge.min_fall * len(fits[0].plant.names)
 
     def _chance(self, fits: Fits, ratio: float) -> float:
@@ -219,30 +219,6 @@ def _misfit(fit: Refinement) -> float:
 
 def _spread(record: Record) -> Float[np.ndarray, " ny"]:
     return np.maximum(np.nanstd(record.known_outputs, axis=0), _TINY)
-
-
-def _errors(fits: Fits, records: Sequence[Record]) -> Float[np.ndarray, " ny"]:
-    """Root mean square of the errors of all records together."""
-    counts = [record.output_valid.sum(axis=0) for record in records]
-    squares = [fit.rmse**2 for fit in fits]
-    return np.sqrt(np.average(squares, axis=0, weights=np.array(counts)))
-
-
-def _mean_ratio(errors: Float[np.ndarray, " ny"], rival: Float[np.ndarray, " ny"]) -> float:
-    """Geometric mean of the outputs."""
-    return float(np.exp(np.mean(np.log(np.maximum(errors, _TINY) / np.maximum(rival, _TINY)))))
-
-
-def _differing(fits: Fits) -> tuple[str, ...]:
-    """Free parameters of which two records differ by far more than their standard errors."""
-    names = []
-    for name, free in zip(fits[0].plant.names, fits[0].plant.free, strict=True):
-        pairs = combinations([(fit.parameters[name], fit.standard_errors[name]) for fit in fits], 2)
-        if free and any(
-            0.0 < np.hypot(a[1], b[1]) < abs(a[0] - b[0]) / _RULES.deviations for a, b in pairs
-        ):
-            names.append(name)
-    return tuple(names)
 
 
 _TINY = float(np.finfo(float).tiny)

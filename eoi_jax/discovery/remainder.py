@@ -21,7 +21,7 @@ from eoi_jax.discovery.doubts import telling_runs
 from eoi_jax.discovery.drift import drift_of_parameters
 from eoi_jax.discovery.judge import error_ratio
 from eoi_jax.discovery.own_offsets import OwnOffsets, with_own_offsets
-from eoi_jax.discovery.own_parameters import OwnFits, OwnParameters
+from eoi_jax.discovery.own_parameters import OwnFits
 from eoi_jax.discovery.remarks import FitNote, RecordNote, is_on_fit
 from eoi_jax.discovery.result import Discovery
 from eoi_jax.discovery.rules import RULES
@@ -30,6 +30,7 @@ from eoi_jax.models.augmented import Placed, augmented, place
 from eoi_jax.models.effects import ConstantOffset
 from eoi_jax.models.effects.effect import AbstractEffect
 from eoi_jax.models.plant import Plant
+from eoi_jax.refinement.record_check import record_names, values_by_record
 from eoi_jax.refinement.refine import refine_once
 from eoi_jax.refinement.result import Refinement
 from eoi_jax.simulation.validate import whole_and_windows
@@ -173,7 +174,7 @@ def _denied(
     ratio: float,
 ) -> Discovery:
     """The declared model in place of an answer, with a note on the offsets of the records."""
-    fit, declared, names = shifted.refinement, discovery.declared, _names(records)
+    fit, declared, names = shifted.refinement, discovery.declared, record_names(records)
 
     def formatted(parameters: Iterable[str]) -> list[str]:
         values, errors = fit.parameters, fit.standard_errors
@@ -226,24 +227,11 @@ def with_differing_parameters(
     denied = _declared_alone(
         discovery, records, _ASK.format(names, effects_text, separate.ratio, verb)
     )
-    return replace(denied, notes=(*denied.notes, *_values_of(separate, _names(fit_records))))
-
-
-def _values_of(separate: OwnParameters, names: Sequence[str]) -> list[RecordNote]:
-    """A note on each parameter that differs, with its values."""
-    units = separate.fits[0].plant.units
-    notes = []
-    for parameter in separate.differing:
-        unit = f" {units[parameter]}" if units.get(parameter) else ""
-        pairs = [
-            (fit.parameters[parameter], fit.standard_errors[parameter]) for fit in separate.fits
-        ]
-        values = ", ".join(
-            f"{value:.5g} ± {error:.2g}{unit} in {name}"
-            for (value, error), name in zip(pairs, names, strict=True)
-        )
-        notes.append(RecordNote(_VALUES.format(parameter, values)))
-    return notes
+    values = (
+        RecordNote(_VALUES.format(name, values_by_record(separate.fits, name, fit_records)))
+        for name in separate.differing
+    )
+    return replace(denied, notes=(*denied.notes, *values))
 
 
 def _declared_alone(discovery: Discovery, records: Sequence[Record], reason: str) -> Discovery:
@@ -284,17 +272,9 @@ def _offsets(
     (name,) = placed.names
     values = ", ".join(
         f"{fit.parameters[name]:.3g} ± {fit.standard_errors[name]:.1g} in {record}"
-        for fit, record in zip(single_fits, _names(records), strict=True)
+        for fit, record in zip(single_fits, record_names(records), strict=True)
     )
     return FitNote(_DIFFER.format(plant.outputs[output], ratio, values))
-
-
-def _names(records: Sequence[Record]) -> list[str]:
-    """Names of records, with numbers where these are not their own."""
-    names = [record.name for record in records]
-    if len(set(names)) == len(names):
-        return names
-    return [f"{name} {number}" for number, name in enumerate(names, start=1)]
 
 
 def _differ(fits: Sequence[Refinement], placed: Placed) -> bool:

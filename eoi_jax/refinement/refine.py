@@ -67,6 +67,7 @@ from eoi_jax.refinement.problem import (
     beginning,
     weighed,
 )
+from eoi_jax.refinement.record_check import with_record_check
 from eoi_jax.refinement.result import Refinement
 from eoi_jax.refinement.searches import SEARCH, in_longer_steps, search_around
 from eoi_jax.refinement.skew import fit_with_skew, mean_error
@@ -303,7 +304,7 @@ def _answered(
     shared = notes_on_runs(result)
     as_they_are = partial(_refined, question=replace(single, is_trial=True))
     result = with_start_check(without_runaways(nominal, result, refit, cost), as_they_are)
-    result = with_free_starts(result)
+    result = with_free_starts(with_record_check(result, as_they_are))
     if not result.status.ok or not held_out:
         return result
     held_out = made_alike(held_out, records, result.records)

@@ -48,8 +48,11 @@ def with_start_check(
     freed = refit(plant, continuing)
     if not freed.status.fits or freed.window != result.window:
         return result
-    independent = min(_independent(freed, j) for j in range(len(plant.outputs)))
-    if _chance(independent * (result.cost - freed.cost), count * len(begins)) >= _SETTINGS.chance:
+    independent = min(independent_residuals(freed, j) for j in range(len(plant.outputs)))
+    if (
+        chance_of_ratio(independent * (result.cost - freed.cost), count * len(begins))
+        >= _SETTINGS.chance
+    ):
         return result
     # From a wrong start parameters may have gone where a free one does not bring them back.
     retry = refit(result.nominal, continuing)
@@ -97,16 +100,26 @@ def _declared(plant: Plant) -> np.ndarray:
     return plant.open_internal & ~anywhere
 
 
-def _independent(result: Refinement, output: int) -> float:
-    """How many of the residuals of an output are as good as independent."""
+def independent_residuals(result: Refinement, output: int) -> float:
+    """How many of the residuals of an output are as good as independent.
+
+    Args:
+        result: with its residuals.
+        output: index.
+    """
     errors = [part[np.isfinite(part[:, output]), output] for part in result.residual]
     lengths = [len(part) for part in errors if len(part) > 1]
     stacked = np.concatenate([part for part in errors if len(part) > 1])
     return len(stacked) / max(correlation_time(stacked[:, None], lengths), 1.0)
 
 
-def _chance(ratio: float, count: int) -> float:
-    """Probability of a larger likelihood ratio, χ² of so many degrees of freedom."""
+def chance_of_ratio(ratio: float, count: int) -> float:
+    """Probability of a larger likelihood ratio, χ² of so many degrees of freedom.
+
+    Args:
+        ratio: twice its logarithm.
+        count: degrees of freedom.
+    """
     from scipy.special import chdtrc
 
     return float(chdtrc(count, max(ratio, 0.0))) if count else 1.0
