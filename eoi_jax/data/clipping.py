@@ -21,6 +21,8 @@ class ClippingSettings:
     min_occupied: int = 6  # of them with samples; with fewer the channel is a staircase
     pile_ratio: float = 10.0  # of the samples at the end to those of a level next to it
     told: float = 0.01  # share of an output's samples at its end from which on a fit mentions it
+    # Noise over the range, and above a quantum, from which on an output at rest shows it.
+    noise: float = 1e-5
 
 
 _SETTINGS = ClippingSettings()
@@ -39,7 +41,8 @@ class Saturation:
 def saturations(record: Record) -> list[Saturation]:
     """Every end of a channel at which samples pile up.
 
-    An input that is zero for long is off, as the sun at night: no end of its range.
+    An input that is zero for long is off, as the sun at night: no end of its range. An output that
+    has not moved since its record began rests, as a drive below its dry friction.
 
     Args:
         record: as measured; smoothing rounds the ends off.
@@ -52,11 +55,14 @@ def saturations(record: Record) -> list[Saturation]:
         *zip(record.input_names, record.inputs.T, known.T, strict=True),
         *zip(record.output_names, record.outputs.T, record.output_valid.T, strict=True),
     ]
+    levels = np.stack([record.noise, record.quantum], axis=1).tolist()
+    scatter = dict(zip(record.output_names, levels, strict=True))
     piles = []
     for name, channel, mask in channels:
         values = channel[mask]
+        moving = values if name in record.input_names else _behind_rest(values, *scatter[name])
         for side in (1.0, -1.0):
-            share = _pile(side * values)
+            share = _pile(side * moving) * len(moving) / len(values)
             if share:
                 level = float(side * np.max(side * values))
                 if level or name not in record.input_names:
@@ -91,6 +97,22 @@ def _share_at_ends(values: Float[np.ndarray, " n"]) -> float:
     if not len(values):
         return 0.0
     return float(max(np.mean(values == np.max(values)), np.mean(values == np.min(values))))
+
+
+def _behind_rest(
+    values: Float[np.ndarray, " n"], noise: float, quantum: float
+) -> Float[np.ndarray, " moving"]:
+    """The samples of an output from the last one of those that stay at its first value.
+
+    All of them where it stays there without the noise that it has elsewhere: its sensor ends there.
+    """
+    value_range = float(np.ptp(values))
+    moved = np.abs(values - values[0]) > value_range / _SETTINGS.levels
+    first = int(np.argmax(moved))
+    is_quiet = first > 0 and np.mean(values[:first] == values[0]) > 0.5
+    if is_quiet and noise > max(quantum, _SETTINGS.noise * value_range):
+        return values
+    return values[max(first - 1, 0) :]
 
 
 def _pile(values: Float[np.ndarray, " n"]) -> float:

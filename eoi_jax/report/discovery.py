@@ -117,7 +117,8 @@ def _lacking(discovery: Discovery) -> str:
     else:
         return f"No answer: {discovery.status}"
     errors = f"{start}: {_free_run_errors(discovery)}."
-    is_clipped = code != "nothing_missing" and any(AT_END in note for note in discovery.notes)
+    is_open = code in ("partial", "unexplained")
+    is_clipped = is_open and any(AT_END in note for note in discovery.notes)
     return f"{errors} {_CLIPPED}" if is_clipped else errors
 
 

@@ -44,3 +44,29 @@ def test_an_output_that_turns_or_rests_is_not():
     assert clipped_notes([_record()]) == []
     sine = eoi.Record(TIME, INPUT, np.sin(TIME), hold="zero")
     assert clipped_notes([sine]) == []
+
+
+def _drive(quantum):
+    """A position that stands at its start while the force is below dry friction, then moves."""
+    rate, place = np.zeros(2000), np.zeros(2000)
+    for k in range(1999):
+        force = 8.0 * (k >= 400) - 16.0 * (k >= 1200)
+        rate[k + 1] = rate[k] + 0.05 * (force - rate[k]) / 20.0
+        place[k + 1] = place[k] + 0.05 * rate[k + 1]
+    place = np.round(place / quantum) * quantum if quantum else place
+    return eoi.Record(TIME, INPUT, place, "drive", hold="zero")
+
+
+@pytest.mark.parametrize("quantum", [0.0, 1e-3])
+def test_an_output_that_has_not_moved_yet_is_at_no_end_of_its_range(quantum):
+    record = _drive(quantum)
+    assert np.mean(record.outputs == 0.0) == pytest.approx(0.2, rel=0.03)
+    assert clipped_notes([record]) == []
+
+
+def test_an_output_that_begins_at_the_end_of_its_sensor_is():
+    """Its noise shows as soon as it is within the range."""
+    noise = 0.01 * np.random.default_rng(1).standard_normal(2000)
+    cooling = np.minimum(100.0 * np.exp(-TIME / 60.0) + noise, 90.0)
+    (note,) = clipped_notes([eoi.Record(TIME, INPUT, cooling, "store", hold="zero")])
+    assert note.startswith("store: y stays at 90, an end of its range, in ")

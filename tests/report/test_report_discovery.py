@@ -10,6 +10,7 @@ from found import DECLARED, HELD_OUT, HIDDEN, Jerk, discovery
 
 import eoi_jax as eoi
 from eoi_jax import effects, plants
+from eoi_jax.data.clipping import AT_END
 from eoi_jax.discovery.diagnose import diagnose
 from eoi_jax.discovery.result import Added, Evidence
 from eoi_jax.models.equations.display import equation_latex, equation_text
@@ -95,6 +96,12 @@ def test_a_complete_model_lacks_nothing(nothing):
     status = eoi.Status("nothing_missing", "The residual is noise.")
     line = answer(dataclasses.replace(nothing, status=status))
     assert line.startswith("The model lacks nothing that the records show: free-run error")
+
+
+def test_only_an_open_answer_points_to_the_ends_of_a_sensor_first(found, nothing):
+    notes = (f"run 1: position stays at 0, {AT_END}, in 7 % of its samples",)
+    shown = [answer(dataclasses.replace(case, notes=notes)) for case in (found, nothing)]
+    assert ["First look at the notes" in text for text in shown] == [False, True]
 
 
 def test_a_fit_that_failed_is_no_answer(nothing):
