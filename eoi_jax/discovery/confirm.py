@@ -3,13 +3,14 @@
 import numpy as np
 from jaxtyping import Float
 
+from eoi_jax.data.holds import moves
 from eoi_jax.discovery.rules import RULES
 from eoi_jax.simulation.sensor_noise import sensor_noise, shows_noise
 from eoi_jax.simulation.validate import FreeRuns, Validation
 
 _RULES = RULES.answer
 
-HIDDEN = (
+_HIDDEN = (
     ", though the injection shows nothing beyond that noise: it hides what is missing, or spoils "
     "the estimate"
 )
@@ -60,7 +61,7 @@ def as_good(plain: FreeRuns, wide: FreeRuns) -> bool:
 
 
 def beyond_noise(
-    runs: Validation | None, conclusion: str = HIDDEN, full_runs: Validation | None = None
+    runs: Validation | None, conclusion: str = "", full_runs: Validation | None = None
 ) -> list[str]:
     """A sentence for each output whose error in free runs, in windows, far exceeds its noise.
 
@@ -74,11 +75,12 @@ def beyond_noise(
 
     Args:
         runs: free runs in windows, or whole ones of short records; None: no sentence.
-        conclusion: end of the sentence.
+        conclusion: end of the sentence; by default what may be the cause.
         full_runs: free runs of whole records; None: not asked.
     """
     if runs is None:
         return []
+    conclusion = conclusion or or_input(_HIDDEN, runs)
     times = _times_expected(runs, sensor_noise(runs))
     spoilt = np.zeros(times.shape, dtype=bool)
     if full_runs is not None and runs.window is not None:
@@ -90,20 +92,23 @@ def beyond_noise(
     return _sentences(runs, np.where(spoilt, 0.0, times), beside + conclusion)
 
 
-def excesses(
-    runs: Validation, expected: Float[np.ndarray, " ny"], conclusion: str = HIDDEN
-) -> list[str]:
+def excesses(runs: Validation, expected: Float[np.ndarray, " ny"]) -> list[str]:
     """A sentence for each output whose error far exceeds what is expected of a right model.
 
     Args:
         runs: free runs, whole or in windows.
         expected: error of a right model [unit of y].
-        conclusion: end of the sentence.
 
     Returns:
         The sentences; that of the output which misses by most times its noise comes first.
     """
-    return _sentences(runs, _times_expected(runs, expected), conclusion)
+    return _sentences(runs, _times_expected(runs, expected), or_input(_HIDDEN, runs))
+
+
+def or_input(causes: str, runs: Validation) -> str:
+    """What may make free runs miss; where an input moves, it may have been logged otherwise."""
+    driven = any(moves(record, j) for record in runs.records for j in range(record.inputs.shape[1]))
+    return f"{causes}{_INPUT}" if driven else causes
 
 
 def _times_expected(
@@ -147,4 +152,5 @@ def _pairs(prior: FreeRuns, after: FreeRuns) -> list[tuple[Validation, Validatio
 
 
 _EXCESS = "free runs of {}{} miss by {:.2g} times the noise of its sensor{}"
+_INPUT = ", or an input acted otherwise than its log, which may be noisy or inexact"
 _SPOILT = " (and {} in windows alone, which start from what all outputs show)"

@@ -15,7 +15,7 @@ from eoi_jax.data.holds import with_hold
 from eoi_jax.data.record import Record
 from eoi_jax.data.windows import window_length
 from eoi_jax.discovery.acceptance import labels_of
-from eoi_jax.discovery.confirm import beyond_noise
+from eoi_jax.discovery.confirm import beyond_noise, or_input
 from eoi_jax.discovery.diagnose import diagnose
 from eoi_jax.discovery.doubts import telling_runs
 from eoi_jax.discovery.drift import drift_of_parameters
@@ -68,7 +68,7 @@ def partial_where_more_is_left(discovery: Discovery) -> Discovery:
     status, runs = discovery.status, discovery.windows_after or discovery.after
     if status.code != "complete" or not discovery.added or discovery.in_sample or runs is None:
         return discovery
-    excesses = beyond_noise(runs, _MORE_MISSING, discovery.after)
+    excesses = beyond_noise(runs, or_input(_MORE_MISSING, runs), discovery.after)
     if not excesses:
         return discovery
     before = discovery.before if discovery.windows_after is None else discovery.windows_before

@@ -168,7 +168,8 @@ def test_an_answer_to_a_part_is_partial_where_free_runs_show_the_rest(found):
     times = runs.rmse[0] / sensor_noise(runs)[0]
     assert most.notes[-1] == (
         f"free runs of {left.plant.outputs[0]} in windows miss by {times:.2g} times the noise of "
-        "its sensor: something smaller than the added effects is missing, too"
+        "its sensor: something smaller than the added effects is missing, too, or an input acted "
+        "otherwise than its log, which may be noisy or inexact"
     )
     assert partial_where_more_is_left(replace(left, in_sample=True)).status == left.status
     assert partial_where_more_is_left(found) == found
