@@ -54,7 +54,7 @@ from eoi_jax.discovery.in_injection import (
     unresolved_models,
     without_search,
 )
-from eoi_jax.discovery.input_influence import influence_notes
+from eoi_jax.discovery.input_influence import input_notes
 from eoi_jax.discovery.own_judge import divided, needs_judge, with_own_judge
 from eoi_jax.discovery.refined import refined_answer, with_hint, without_bias
 from eoi_jax.discovery.remainder import (
@@ -196,7 +196,8 @@ def discover(
     doubts = *clipped_notes(read), *deadband_notes(read), *unit_notes(plant, read)
     measured = *record_notes((*read, *unseen)), *doubts
     if discovery.found.status.fits:
-        measured = *influence_notes(discovery), *reversed_notes(plant, discovery.found), *measured
+        of_inputs = input_notes(discovery, fit_records)
+        measured = *of_inputs, *reversed_notes(plant, discovery.found), *measured
     notes = *fit_notes(plant, discovery.added, discovery.found), *unplaced_notes, *runs, *measured
     discovery = replace(discovery, notes=(*discovery.notes, *notes))
     discovery = discovery if effects is None else with_requested(discovery, tried_effects)

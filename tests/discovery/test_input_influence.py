@@ -1,4 +1,4 @@
-"""Inputs of which records show next to no influence are told."""
+"""Inputs of which records show next to no influence, or one of the other sign, are told."""
 
 from dataclasses import replace
 
@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import eoi_jax as eoi
-from eoi_jax.discovery.input_influence import influence_notes
+from eoi_jax.discovery.input_influence import input_notes
 
 TIME = 60.0 * np.arange(600)
 
@@ -47,4 +47,17 @@ def test_an_input_that_is_not_connected_is_told(answer):
 def test_an_input_that_stands_still_tells_nothing(answer):
     _, found = answer
     still = replace(found, held_out=(record(3, False, heating=False),))
-    assert not any("of heating" in note for note in influence_notes(still))
+    assert not any("of heating" in note for note in input_notes(still, (record(1, False),)))
+
+
+def test_an_input_that_counts_in_the_other_direction_is_told():
+    """With bounds parameters cannot take over its sign: they run to where it does nothing."""
+    cooled = eoi.Plant(
+        lambda t, x, u, p: (p.loss * (u[1] - x.y[0]) - u[0]) / p.capacity,
+        {"loss": 0.1, "capacity": 500.0}, 1, ("heating", "outdoor"), ("T",),
+        bounds={"loss": (0.0, 10.0), "capacity": (10.0, 1e5)},
+    )  # fmt: skip
+    found = eoi.discover(cooled, record(1, True), record(2, True), ["constant_offset"])
+    told = [note for note in found.notes if "in the other direction" in note]
+    assert [note.split()[0] for note in told] == ["heating"]
+    assert not any("next to no influence" in note for note in found.notes)
