@@ -66,6 +66,7 @@ from eoi_jax.discovery.remainder import (
     with_poor_fit,
 )
 from eoi_jax.discovery.requested import (
+    chain_notes,
     names_with_place,
     notes_without_place,
     requested,
@@ -190,9 +191,9 @@ def discover(
     if needs_judge(discovery, fit_records):
         parts = divided(plant, fit_records, window)
         discovery = with_own_judge(discovery, parts, search.discovered)
-    unplaced_notes = (
-        [] if effects is None else notes_without_place(tried_effects, fitting, discovery)
-    )
+    unplaced_notes = chain_notes(discovery)
+    if effects is not None:
+        unplaced_notes += notes_without_place(tried_effects, fitting, discovery)
     doubts = *clipped_notes(read), *deadband_notes(read), *unit_notes(plant, read)
     measured = *record_notes((*read, *unseen)), *doubts
     if discovery.found.status.fits:

@@ -22,9 +22,12 @@ from eoi_jax.models.effects import (
     wider,
 )
 from eoi_jax.models.effects.effect import AbstractCascade, AbstractEffect, Seen
+from eoi_jax.models.equations.system import TextDynamics
 from eoi_jax.models.placements import placements
 from eoi_jax.models.plant import Plant
 from eoi_jax.models.used_inputs import used_inputs
+
+OPEN = ("partial", "unexplained")  # codes of answers that leave something
 
 
 def requested(
@@ -115,10 +118,27 @@ def notes_without_place(
     return notes
 
 
+def chain_notes(discovery: Discovery) -> list[str]:
+    """A note for each position whose rate is an internal state in other units, on what is open.
+
+    What acts on the acceleration of the position acts on that state, and is not tried there.
+    """
+    plant = discovery.declared.nominal
+    if discovery.status.code not in OPEN or not isinstance(plant.dynamics, TextDynamics):
+        return []
+    equations = plant.dynamics.equations
+    texts = dict(equations.derivatives)
+    return [
+        _NO_CHAIN.format(output, texts[output], state)
+        for output, state in equations.internal_rates.items()
+        if plant.kinds[output] == "position"
+    ]
+
+
 def with_requested(discovery: Discovery, effects: Sequence[AbstractEffect]) -> Discovery:
     """An answer that leaves something open, which says that the caller named what was tried."""
     status = discovery.status
-    if status.code not in ("unexplained", "partial"):
+    if status.code not in OPEN:
         return discovery
     names = ", ".join(dict.fromkeys(effect.name for effect in effects))
     text = f"{status.message}. {_REQUESTED.format(names)}"
@@ -167,5 +187,10 @@ _IN_FREE_RUNS = (
     "{} is tried in free runs on held-out records alone, where the injection gives no answer"
 )
 _NOT_OF_KIND = "{} was not tried: it needs {}, and the records of the fit show none"
+_NO_CHAIN = (
+    "effects on the acceleration of {0}, as a weight out of balance, were not tried: its "
+    'derivative "{1}" has the internal state {2}. Write the derivative of {0} as the name of a '
+    "state alone, which has the unit of {0} a second, and {2} in terms of that"
+)
 _NO_PLACE = "{} was not tried: no output, input or internal state of {} is of its kind"
 _NOTHING_SHOWS = "{} was not tried: nothing in the records of {} is of its kind"

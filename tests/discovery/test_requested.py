@@ -9,7 +9,7 @@ from found import discovery
 import eoi_jax as eoi
 from eoi_jax import effects
 from eoi_jax._status import Status
-from eoi_jax.discovery.requested import with_requested
+from eoi_jax.discovery.requested import chain_notes, with_requested
 from eoi_jax.report.discovery import answer
 
 
@@ -42,6 +42,22 @@ def test_what_stays_open_says_that_the_caller_named_what_was_tried(code):
     message = with_requested(replace(discovery(), status=status), asked).status.message
     told = ". Only what `effects` names was tried (leak, constant_offset): leave it out to try all"
     assert message == status.message + (told if code != "complete" else "")
+
+
+@pytest.mark.parametrize(("rate", "told"), [("6*w", True), ("6*w - 0.1*angle", False)])
+def test_a_position_whose_rate_is_an_internal_state_is_told_where_the_answer_is_open(rate, told):
+    drum = eoi.plant_from_text(
+        {"angle": rate, "w": "(torque - b*w)/J"}, {"J": 0.3, "b": 0.1}, ["angle"], ["torque"],
+        units={"angle": "deg"}, initial={"w": 0.0},
+    )  # fmt: skip
+    found = discovery()
+    declared = replace(found.declared, nominal=drum)
+    status = Status("unexplained", "none of the tested effects explains it")
+    assert chain_notes(replace(found, declared=declared)) == []
+    notes = chain_notes(replace(found, declared=declared, status=status))
+    assert len(notes) == told
+    assert all('acceleration of angle, as a weight out of balance, were not tried: its derivative '
+               '"6*w" has the internal state w.' in note for note in notes)  # fmt: skip
 
 
 def test_an_effect_that_the_records_do_not_show_is_told_as_not_tried():

@@ -26,6 +26,7 @@ from eoi_jax.models.equations.expression import (
     Operation,
     Symbol,
     parts_of,
+    symbols_of,
     value_of,
 )
 from eoi_jax.models.equations.parser import good_name, parse, words
@@ -95,6 +96,17 @@ class Equations:
         """Names of the internal states, in order."""
         chained = {name for chain in self.chains.values() for name in chain}
         return tuple(name for name, _ in self.derivatives if name not in chained)
+
+    @cached_property
+    def internal_rates(self) -> dict[str, str]:
+        """By output whose first derivative is a formula of one internal state alone: that state."""
+        pairs = {}
+        for output in (name for name, chain in self.chains.items() if len(chain) == 1):
+            symbols = symbols_of(self.rates[output])
+            signals = [symbol.name for symbol in symbols if not symbol.parameter]
+            if len(signals) == 1 and signals[0] in self.states:
+                pairs[output] = signals[0]
+        return pairs
 
     @cached_property
     def symbols(self) -> dict[str, Expression]:
