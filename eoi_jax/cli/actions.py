@@ -3,6 +3,7 @@
 An action prints nothing: it returns an `Outcome`, which `terminal.show` prints.
 """
 
+import shutil
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -582,17 +583,31 @@ def _validate(result: Identification | Refinement, job: run_folder.Job) -> Valid
 def _write_run(folder: Path, write: Callable[[Path], None]) -> str:
     """Write the files of a run and its report into a folder, all or nothing.
 
+    The run of another command that stood there is kept beside it.
+
     Returns:
-        The command of a run that stood there, where it was another one; else empty.
+        A sentence on the run that stood there, where it was another one; else empty.
     """
+    former, archive = run_folder.command_of_run(folder), folder
+
+    def copy(draft: Path) -> None:
+        shutil.copytree(folder, draft, dirs_exist_ok=True)
 
     def fill(draft: Path) -> None:
+        nonlocal archive
         write(draft)
         html_report.write_report(draft)
+        earlier, present = (text.split()[1:2] for text in
+                            (former, run_folder.command_of_run(draft)))  # fmt: skip
+        if earlier and earlier != present:
+            archive = folder.with_name(f"{folder.name}.{earlier[0]}")
+            write_folder(archive, copy)
 
-    former = run_folder.command_of_run(folder)
     write_folder(folder, fill)
-    return former if former != run_folder.command_of_run(folder) else ""
+    if former in ("", run_folder.command_of_run(folder)):
+        return ""
+    place = "--output names another folder" if archive is folder else f"that is now in {archive}/"
+    return f"It replaced the run of `{former}`; {place}."
 
 
 def _config_argument(config: Path | None) -> str:

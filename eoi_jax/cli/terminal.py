@@ -43,7 +43,7 @@ class Outcome:
         place: folder or file that was written; None: nothing was written, see `complaint`.
         code: exit status.
         complaint: what is wrong if the exit status is not 0.
-        replaced: the command of another run, in whose place this one stands; empty: there was none.
+        replaced: a sentence on another run in whose place this one stands; empty: there was none.
     """
 
     summary: dict[str, Any]
@@ -284,7 +284,7 @@ def show(outcome: Outcome, as_json: bool, quiet: bool) -> None:
         files = ", ".join(sorted(path.name for path in outcome.place.iterdir()))
         say(f"{outcome.text}\n\n{outcome.place}/: {files}")
         if outcome.replaced:
-            say(f"It replaced the run of `{outcome.replaced}`; --output names another folder.")
+            say(outcome.replaced)
     else:
         say(outcome.text)
     if outcome.code:

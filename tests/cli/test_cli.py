@@ -264,8 +264,12 @@ def test_a_run_in_place_of_that_of_another_command_says_so(config: Path, tmp_pat
         result = eoi(*arguments, *output)
         assert result.exit_code == 0, result.output
         told.append([line for line in result.stdout.splitlines() if "It replaced" in line])
-    identified = f"It replaced the run of `eoi identify {config}`; --output names another folder."
+    (name,) = (path.name for path in (tmp_path / "runs").iterdir() if "." not in path.name)
+    kept = tmp_path / "runs" / f"{name}.identify"
+    identified = f"It replaced the run of `eoi identify {config}`; that is now in {kept}/."
     assert told == [[], [identified], []]
+    assert (kept / "config.toml").read_text().startswith("# eoi identify")
+    assert eoi("report", kept).exit_code == 0
     result = eoi("identify", config, *output, "--json")
     assert "It replaced" not in result.stdout
 
