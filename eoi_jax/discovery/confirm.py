@@ -4,7 +4,9 @@ import numpy as np
 from jaxtyping import Float
 
 from eoi_jax.data.holds import moves
+from eoi_jax.discovery.input_noise import error_of_input_noise
 from eoi_jax.discovery.rules import RULES
+from eoi_jax.models.plant import Plant
 from eoi_jax.simulation.sensor_noise import sensor_noise, shows_noise
 from eoi_jax.simulation.validate import FreeRuns, Validation
 
@@ -61,7 +63,10 @@ def as_good(plain: FreeRuns, wide: FreeRuns) -> bool:
 
 
 def beyond_noise(
-    runs: Validation | None, conclusion: str = "", full_runs: Validation | None = None
+    runs: Validation | None,
+    conclusion: str = "",
+    full_runs: Validation | None = None,
+    plant: Plant | None = None,
 ) -> list[str]:
     """A sentence for each output whose error in free runs, in windows, far exceeds its noise.
 
@@ -77,19 +82,50 @@ def beyond_noise(
         runs: free runs in windows, or whole ones of short records; None: no sentence.
         conclusion: end of the sentence; by default what may be the cause.
         full_runs: free runs of whole records; None: not asked.
+        plant: of which they are: what noise in the log of its inputs makes them miss by is expected
+            as well. None: of the noise of sensors alone.
     """
     if runs is None:
         return []
     conclusion = conclusion or or_input(_HIDDEN, runs)
-    times = _times_expected(runs, sensor_noise(runs))
+    times = _times_expected(runs, _expected(plant, runs))
     spoilt = np.zeros(times.shape, dtype=bool)
     if full_runs is not None and runs.window is not None:
-        spoilt = (times > 0.0) & (_times_expected(full_runs, sensor_noise(full_runs)) == 0.0)
+        spoilt = (times > 0.0) & (_times_expected(full_runs, _expected(plant, full_runs)) == 0.0)
     if np.all(spoilt[times > 0.0]):
         return _sentences(runs, times, conclusion)
     misses = [f"{runs.outputs[j]} by {times[j]:.2g} times" for j in np.flatnonzero(spoilt).tolist()]
     beside = _SPOILT.format(" and ".join(misses)) if misses else ""
     return _sentences(runs, np.where(spoilt, 0.0, times), beside + conclusion)
+
+
+def _expected(plant: Plant | None, runs: Validation) -> Float[np.ndarray, " ny"]:
+    """The noise of sensors, and what that of inputs makes, where runs miss by more than the former.
+
+    The draws of that noise cost as many free runs.
+    """
+    noise = sensor_noise(runs)
+    if plant is None or not np.any(_times_expected(runs, noise)):
+        return noise
+    return np.hypot(noise, error_of_input_noise(plant, runs))
+
+
+def explained_by_inputs(runs: Validation | None, plant: Plant) -> list[str]:
+    """A sentence where noise in the log of inputs explains by how much free runs miss.
+
+    Args:
+        runs: free runs in windows, or whole ones of short records; None: no sentence.
+        plant: of which they are.
+    """
+    if runs is None or not beyond_noise(runs) or beyond_noise(runs, plant=plant):
+        return []
+    times = _times_expected(runs, sensor_noise(runs))
+    misses = [
+        f"of {runs.outputs[j]} miss by {times[j]:.2g} times"
+        for j in np.flatnonzero(times > 0.0).tolist()
+    ]
+    length = "" if runs.window is None else " in windows"
+    return [_BY_INPUTS.format(length, ", and ".join(misses))]
 
 
 def excesses(runs: Validation, expected: Float[np.ndarray, " ny"]) -> list[str]:
@@ -152,5 +188,9 @@ def _pairs(prior: FreeRuns, after: FreeRuns) -> list[tuple[Validation, Validatio
 
 
 _EXCESS = "free runs of {}{} miss by {:.2g} times the noise of its sensor{}"
+_BY_INPUTS = (
+    "free runs{} {} the noise of its sensor: noise in the log of the inputs, which scatters about "
+    "their levels and did not act, explains as much"
+)
 _INPUT = ", or an input acted otherwise than its log, which may be noisy or inexact"
 _SPOILT = " (and {} in windows alone, which start from what all outputs show)"

@@ -59,7 +59,7 @@ def misses_a_law(discovery: Discovery) -> bool:
         return False
     answers = ("unexplained", "partial", "complete")
     runs = discovery.windows_after or discovery.after
-    unexplained = beyond_noise(runs)
+    unexplained = beyond_noise(runs, plant=discovery.plant)
     return discovery.status.code in answers and (bool(unexplained) or _crowded(discovery.added))
 
 
@@ -87,7 +87,7 @@ def with_curves(
         named = refined(discovery.plant, placed, fitted, search.judge)
         if named is None:
             return discovery
-        if not (beyond_noise(named.short_runs) or _crowded(placed)):
+        if not (beyond_noise(named.short_runs, plant=named.refinement.plant) or _crowded(placed)):
             return discovery
     explained = discovery.status.code == "complete"
     best = _with_best_curve(search, named, explained)
@@ -132,7 +132,7 @@ def _with_best_curve(search: Search, named: Judged, explained: bool) -> Judged:
             continue
         best = search.judge.plainest(trials)
         better = _is_far_better(best, named) or _replaces_sum(search, best, named)
-        left = beyond_noise(best.short_runs)
+        left = beyond_noise(best.short_runs, plant=best.refinement.plant)
         is_close = best.error < named.error + np.log(_RULES.finer)
         if (_crowded(named.placed) and is_close) or (better and left):
             best = _finest(search, best)

@@ -37,6 +37,8 @@ from eoi_jax.discovery.doubts import (
     leaves_open,
     may_be_rate,
     misses_widely,
+    noisy_log_notes,
+    unless_inputs_are_noisy,
 )
 from eoi_jax.discovery.hold_choice import Searched, with_best_hold, with_held_inputs
 from eoi_jax.discovery.in_free_runs import (
@@ -195,7 +197,7 @@ def discover(
     if effects is not None:
         unplaced_notes += notes_without_place(tried_effects, fitting, discovery)
     doubts = *clipped_notes(read), *deadband_notes(read), *unit_notes(plant, read)
-    measured = *record_notes((*read, *unseen)), *doubts
+    measured = *noisy_log_notes(discovery), *record_notes((*read, *unseen)), *doubts
     if discovery.found.status.fits:
         of_inputs = input_notes(discovery, fit_records)
         measured = *of_inputs, *reversed_notes(plant, discovery.found), *measured
@@ -270,7 +272,8 @@ class _Search:
             records: to fit, as given.
             held_out: that judge, as given.
         """
-        discovery, start = searched.discovery, min(float(record.time[0]) for record in records)
+        discovery = unless_inputs_are_noisy(searched.discovery)
+        start = min(float(record.time[0]) for record in records)
         of_plant = input_products(self.plant) + couplings(self.plant) + input_actions(self.plant)
         dependences = (law for law in self.rare if isinstance(law, ParameterDependence))
         further = () if self.named else (*wider(), *of_plant, *dependences)

@@ -1,11 +1,13 @@
 """Whether an answer of the injection leaves it open what is missing."""
 
 from collections.abc import Sequence
+from dataclasses import replace
 from types import UnionType
 
 import numpy as np
 
-from eoi_jax.discovery.confirm import beyond_noise
+from eoi_jax._status import Status
+from eoi_jax.discovery.confirm import beyond_noise, explained_by_inputs
 from eoi_jax.discovery.remarks import Reason
 from eoi_jax.discovery.result import Added, Discovery
 from eoi_jax.discovery.rules import RULES
@@ -52,13 +54,34 @@ def leaves_open(discovery: Discovery) -> bool:
             return False
         # What is read as noise off a few samples may be motion.
         lost = bool(np.any(runs.nrmse > _RULES.useless))
-        return lost or bool(beyond_noise(runs))
+        return lost or bool(beyond_noise(runs, plant=discovery.plant))
     # What holds over time alone tells no held-out record to its noise.
     in_time = _in_time(discovery.added) and _misses_by_more_than_noise(discovery)
     doubted = in_time or _bends(discovery.added) or _vanishes(discovery.added)
     doubted |= may_be_store(discovery.added) and not is_small
     doubted |= bends_factor(discovery) or may_be_motion(discovery)
     return code in ("unexplained", "no_data") or (code == "complete" and doubted)
+
+
+def unless_inputs_are_noisy(discovery: Discovery) -> Discovery:
+    """An answer without effects, which lacks nothing where noise in the log of inputs explains it.
+
+    Short runs are asked: long ones may drift, or stick at other times.
+    """
+    if discovery.status.code != "unexplained" or discovery.added or discovery.in_sample:
+        return discovery
+    if not explained_by_inputs(telling_runs(discovery), discovery.plant):
+        return discovery
+    return replace(
+        discovery, status=Status("nothing_missing", _NOISY_INPUTS), lead=None, diagnosis=None
+    )
+
+
+def noisy_log_notes(discovery: Discovery) -> list[str]:
+    """A note where noise in the log of inputs is all that an answer leaves in short free runs."""
+    if discovery.status.code not in ("complete", "nothing_missing"):
+        return []
+    return explained_by_inputs(discovery.windows_after, discovery.plant)
 
 
 def telling_runs(discovery: Discovery) -> Validation | None:
@@ -191,7 +214,7 @@ def leaves_more(discovery: Discovery) -> bool:
     # An error below what was taken for noise: that was fast motion, and tells nothing.
     noise = sensor_noise(runs)
     motion = np.any((runs.rmse < _RULES.motion * noise) & (runs.nrmse > _RULES.small))
-    return bool(motion) or bool(beyond_noise(runs))
+    return bool(motion) or bool(beyond_noise(runs, plant=discovery.plant))
 
 
 def misses_widely(discovery: Discovery) -> bool:
@@ -201,3 +224,8 @@ def misses_widely(discovery: Discovery) -> bool:
     """
     runs = telling_runs(discovery)
     return leaves_more(discovery) and runs is not None and bool(np.any(runs.nrmse > _RULES.wide))
+
+
+_NOISY_INPUTS = (
+    "free runs miss the held-out records by no more than noise in the log of the inputs explains"
+)

@@ -23,6 +23,7 @@ from jaxtyping import Bool, Float
 
 from eoi_jax.data.record import Record
 from eoi_jax.discovery.confirm import excesses
+from eoi_jax.discovery.input_noise import error_of_input_noise
 from eoi_jax.discovery.judge import Judged
 from eoi_jax.discovery.rules import RULES
 from eoi_jax.models.plant import Plant
@@ -60,6 +61,8 @@ def error_over_noise(model: Judged) -> str:
     run = max(silent or runs, key=_most_times)
     if _most_times(run) <= RULES.questions.silent:
         return "no more than noise"
+    if np.any(error_of_input_noise(model.refinement.plant, run)):
+        return "no more than noise in the log of the inputs explains"
     return f"{_most_times(run):.2g} times the noise{'' if run.window is None else ' in windows'}"
 
 
@@ -74,7 +77,10 @@ def _excess(model: Judged, run: Validation) -> list[str]:
     """Of runs of one length; what a right model may err by is asked where the noise is exceeded."""
     if not excesses(run, sensor_noise(run)):
         return []
-    return excesses(run, expected_error(model.refinement, run))
+    expected = expected_error(model.refinement, run)
+    if excesses(run, expected):
+        expected = np.hypot(expected, error_of_input_noise(model.refinement.plant, run))
+    return excesses(run, expected)
 
 
 def expected_error(refinement: Refinement, run: Validation) -> Float[np.ndarray, " ny"]:

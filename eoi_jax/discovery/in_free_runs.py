@@ -289,7 +289,7 @@ def with_further_effects(
     hints = []
     confirms = bool(further) and ratio < RULES.answer.confirmed
     is_product = any(isinstance(at.effect, PRODUCTS) for at in further)
-    if confirms and is_product and beyond_noise(model.short_runs):
+    if confirms and is_product and beyond_noise(model.short_runs, plant=model.refinement.plant):
         # It names no cause, and would take its share of those that are named.
         hints = [_HINT.format(" and ".join(_signals_of(plant, at) for at in further), ratio)]
     if hints or not confirms:

@@ -82,7 +82,7 @@ def search_injection(
         progress("fitting again, free runs", 1 + _RULES.rounds, STAGES)
         discovery = _answer(task, steps, rounds, runs_before())
     # Of outputs that are functions of the states, free runs are not searched where they contradict.
-    misses_by_more = bool(beyond_noise(discovery.windows_after))
+    misses_by_more = bool(beyond_noise(discovery.windows_after, plant=discovery.plant))
     denied_by_runs = task.plant.has_algebraic and misses_by_more
     quiet = discovery.status.code == "nothing_missing"
     is_open = discovery.status.code == "unexplained" or (quiet and denied_by_runs)
@@ -108,7 +108,7 @@ def _dependences_beside(
     same.
     """
     runs = discovery.windows_after or discovery.after
-    if discovery.in_sample or not discovery.added or not beyond_noise(runs):
+    if discovery.in_sample or not discovery.added or not beyond_noise(runs, plant=discovery.plant):
         return ()
     return tuple(effect for effect in effects if isinstance(effect, ParameterDependence))
 
@@ -191,7 +191,7 @@ def unresolved_models(
 
 def judged_by_free_runs(discovery: Discovery) -> Discovery:
     """Whether free runs alone show something that no effect explains."""
-    doubts = beyond_noise(discovery.windows_after, full_runs=discovery.after)
+    doubts = beyond_noise(discovery.windows_after, "", discovery.after, discovery.plant)
     if discovery.status.code != "nothing_missing" or not doubts:
         return discovery
     return replace(discovery, status=Status("unexplained", f"{_UNRESOLVED}, and {doubts[0]}"))

@@ -167,7 +167,7 @@ def with_own_judge(
     fitted = with_hold(division.fitted, settled.hold, settled.skew)
     window = window_length(fitted, 2 * longest_start(plant, fitted))
     long_runs, short_runs = whole_and_windows(plant, fitted, window)
-    misses = beyond_noise(short_runs or long_runs, division.in_fit)
+    misses = beyond_noise(short_runs or long_runs, division.in_fit, plant=plant)
     return replace(judged, status=Status("unexplained", misses[0])) if misses else judged
 
 
@@ -189,7 +189,7 @@ def _judged_in_sample(discovery: Discovery) -> Discovery:
         return noted
     prepared = prepare_records(declared.nominal, records, declared.lowpass)
     answer = refined_passes(noted, result, prepared)
-    misses = beyond_noise(telling_runs(answer), _REFINED_MISSES, answer.after)
+    misses = beyond_noise(telling_runs(answer), _REFINED_MISSES, answer.after, answer.plant)
     if misses:
         message = f"{discovery.status.message}; {misses[0]}"
         return replace(answer, status=Status("unexplained", message))

@@ -49,7 +49,7 @@ def with_doubts(discovery: Discovery, refined: bool) -> Discovery:
     """
     if discovery.status.code != "nothing_missing":
         return discovery
-    doubts = beyond_noise(discovery.windows_after, full_runs=discovery.after)
+    doubts = beyond_noise(discovery.windows_after, "", discovery.after, discovery.plant)
     if doubts and discovery.plant.has_algebraic:
         return replace(discovery, status=Status("unexplained", doubts[0]))
     suggestion = "" if refined else _REFINE_HINT
@@ -68,14 +68,16 @@ def partial_where_more_is_left(discovery: Discovery) -> Discovery:
     status, runs = discovery.status, discovery.windows_after or discovery.after
     if status.code != "complete" or not discovery.added or discovery.in_sample or runs is None:
         return discovery
-    excesses = beyond_noise(runs, or_input(_MORE_MISSING, runs), discovery.after)
+    excesses = beyond_noise(runs, or_input(_MORE_MISSING, runs), discovery.after, discovery.plant)
     if not excesses:
         return discovery
     before = discovery.before if discovery.windows_after is None else discovery.windows_before
     unimproved = before is not None and error_ratio(runs, before) > RULES.answer.confirmed
     if discovery.explained >= RULES.answer.explained and not unimproved:
         discovery = replace(discovery, notes=(*discovery.notes, *map(FitNote, excesses)))
-        if not (discovery.plant.has_algebraic and beyond_noise(discovery.after)):
+        if not (
+            discovery.plant.has_algebraic and beyond_noise(discovery.after, plant=discovery.plant)
+        ):
             return discovery
     left = f"{_MORE_LEFT}, hardly less than before" if unimproved else _MORE_LEFT
     return replace(discovery, status=Status("partial", f"{status.message}; {left}"))
@@ -209,7 +211,7 @@ def with_differing_parameters(
     """
     runs, judging, answer = discovery.windows_after, discovery.held_out, discovery.found
     is_left = discovery.status.code in ("partial", "unexplained") or (
-        discovery.status.code == "complete" and bool(beyond_noise(runs))
+        discovery.status.code == "complete" and bool(beyond_noise(runs, plant=discovery.plant))
     )
     if not is_left or runs is None or not answer.status.fits or discovery.plant.has_algebraic:
         return discovery
