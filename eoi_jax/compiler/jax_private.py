@@ -11,6 +11,7 @@ from importlib import import_module
 from typing import Any
 
 import jax
+import numpy as np
 from jax.core import Tracer as Tracer
 from jax.extend.core import ClosedJaxpr as ClosedJaxpr
 from jax.extend.core import Literal as Literal
@@ -111,6 +112,10 @@ _CALLS = {
 CALLS = frozenset(_CALLS)  # names of equations that call a function
 
 
+# Of these, calls of functions whose author gave the derivative.
+RULED = frozenset(name for name in _CALLS if name.startswith("custom_"))
+
+
 def called(equation: Any) -> ClosedJaxpr | None:
     """The function that an equation merely calls; None if it does something else."""
     if equation.primitive.name == "call_hi_primitive":  # from JAX 0.12 on, as in `jnp.searchsorted`
@@ -152,15 +157,15 @@ def solving_part(params: dict[str, Any], operands: Sequence[Any]) -> tuple[Close
     """What solves in an equation of `lax.custom_linear_solve`, and its own ones of the operands."""
     counts, function = params["const_lengths"], params["jaxprs"].solve
     first = counts.matvec + counts.vecmat
-    own = [*operands[first : first + counts.solve], *operands[sum(counts) :]]
-    return closed_jaxpr(function), own
+    concerned = [*operands[first : first + counts.solve], *operands[sum(counts) :]]
+    return closed_jaxpr(function), concerned
 
 
 def product_part(params: dict[str, Any], operands: Sequence[Any]) -> tuple[ClosedJaxpr, list, list]:
     """What multiplies by the matrix in such an equation, its own operands, and the right side."""
     counts = params["const_lengths"]
-    own, right = operands[: counts.matvec], operands[sum(counts) :]
-    return closed_jaxpr(params["jaxprs"].matvec), list(own), list(right)
+    concerned, right = operands[: counts.matvec], operands[sum(counts) :]
+    return closed_jaxpr(params["jaxprs"].matvec), list(concerned), list(right)
 
 
 def results_of(equation: Any, operands: Sequence[Any]) -> list[Any]:
@@ -230,3 +235,32 @@ def with_primitives(jaxpr: Any, primitives: Mapping[str, Primitive]) -> Any:
             equation = equation.replace(params=params)
         equations.append(equation)
     return jaxpr.replace(eqns=equations)
+
+
+def with_own_constants(closed: ClosedJaxpr) -> ClosedJaxpr:
+    """A traced function that does not share memory with arrays of NumPy that it read.
+
+    Args:
+        closed: of `jax.make_jaxpr`.
+    """
+
+    def inner(value: Any) -> Any:
+        if type(value) in (tuple, list):
+            return type(value)(inner(part) for part in value)
+        return with_own_constants(value) if isinstance(value, ClosedJaxpr) else value
+
+    def copied(array: Any) -> Any:
+        is_numeric = hasattr(array, "dtype") and not isinstance(array, Tracer)
+        is_numeric = is_numeric and not jax.dtypes.issubdtype(array.dtype, jax.dtypes.extended)
+        return np.array(array) if is_numeric else array
+
+    equations = [
+        equation.replace(params={key: inner(value) for key, value in equation.params.items()})
+        if jaxprs_within(equation)
+        else equation
+        for equation in closed.jaxpr.eqns
+    ]
+    constants = [copied(constant) for constant in closed.consts]
+    if closed.jaxpr is closed:  # from JAX 0.12 on
+        return closed.replace(eqns=equations, consts=constants)
+    return ClosedJaxpr(closed.jaxpr.replace(eqns=equations), constants)

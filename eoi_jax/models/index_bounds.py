@@ -9,6 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from eoi_jax._checks import check, counted
+from eoi_jax.models.function_snapshot import is_of_package
 from eoi_jax.models.parameters import parameter_type
 from eoi_jax.models.traced_equations import has_hash
 from eoi_jax.models.traced_shapes import line_of
@@ -71,7 +72,9 @@ def check_indices(
     """
     shape = plant.rows, len(plant.outputs)
     sizes = shape if plant.relative_degree else (), internal, (len(plant.inputs),)
-    trace = _trace if has_hash(function) else _trace.__wrapped__
+    # What a user's function reads outside itself may have changed.
+    cached = is_of_package(function) and has_hash(function)
+    trace = _trace if cached else _trace.__wrapped__
     try:
         trace(function, plant.names, state, shape, *sizes, theta.dtype)
     except OutOfBoundsError as error:

@@ -24,16 +24,14 @@ from eoi_jax.compiler.jax_private import Tracer, inputs_read
 from eoi_jax.compiler.pointwise import along
 from eoi_jax.models.actuators import keeps_steps
 from eoi_jax.models.algebraic_outputs import apart, check_algebraic
-from eoi_jax.models.captured_values import with_present_values
-from eoi_jax.models.index_bounds import check_indices
 from eoi_jax.models.kinds import checked_kinds, kind_of
 from eoi_jax.models.known_starts import StartItems, checked_starts, internal_start_of, start_table
 from eoi_jax.models.parameters import check_names, limits_of, parameter_type, replaced
+from eoi_jax.models.plant_functions import read_functions
 from eoi_jax.models.sampled_states import SampledStates
 from eoi_jax.models.start_weights import free_starts, open_starts
 from eoi_jax.models.state_names import names_state
 from eoi_jax.models.traced_equations import evaluated
-from eoi_jax.models.traced_shapes import traced_shape
 from eoi_jax.models.velocities import velocity_rows
 
 # Velocity just above or just below rest at which f is evaluated: in any unit so small that f
@@ -74,6 +72,10 @@ class Plant(eqx.Module):
     Dry friction is written ``p.c * jnp.sign(rate)`` (for a measured speed, r = 1: of the output
     itself). The jump at rest is found by evaluating f just above and just below zero velocity:
     simulation sticks, and estimation omits samples at which the plant sticks.
+
+    What the functions read outside their arguments (a global constant, a table, the weights of a
+    network) is read when the plant is made, and every call uses these values. After a change make
+    the plant anew.
 
     Args:
         dynamics: ``f(t, x, u, p)`` → y^(r), shape (ny,), or a scalar for a single output. Where
@@ -153,8 +155,8 @@ class Plant(eqx.Module):
         check_kind("parameters", parameters, Mapping, "a dict by name")
         for field, mapping in (("bounds", bounds), ("units", units), ("kinds", kinds)):
             check_kind(field, mapping or {}, Mapping, "a dict by name")
-        self.dynamics, self.internal = map(with_present_values, (dynamics, internal))
-        self.actuator, self.sampled = actuator, sampled
+        self.dynamics, self.internal, self.actuator = dynamics, internal, actuator
+        self.sampled = sampled
         self.names = tuple(parameters)
         self.inputs, self.outputs = _name_tuple("inputs", inputs), _name_tuple("outputs", outputs)
         self.fixed = _name_tuple("fixed", fixed)
@@ -182,7 +184,8 @@ class Plant(eqx.Module):
         self.unit_items = tuple((units or {}).items())
         self._check_units()
         self.kind_items = checked_kinds(kinds or {}, self.outputs, self.units)
-        self._check_shapes()
+        functions = read_functions(self, State)
+        self.dynamics, self.internal, self.internal_initial, self.actuator = functions
         if self.has_algebraic:
             self._check_algebraic()
 
@@ -476,52 +479,6 @@ class Plant(eqx.Module):
         for key in self.units:
             if self.internal is None or not names_state(key, names):
                 check_choice("units", key, names)
-
-    def _check_shapes(self) -> None:
-        """Evaluate the shapes of f and g, so that a wrong shape is reported here, not in a scan."""
-        theta = jax.ShapeDtypeStruct(self.theta.shape, jnp.result_type(float))
-        start = jax.eval_shape(self.internal_start, theta)
-        r, ny, nu = self.rows, len(self.outputs), len(self.inputs)
-        layout = (
-            f"`x.y` has shape {(r, ny)}: rows are outputs and their derivatives, columns outputs."
-        )
-        layout += f" `u` has shape {(nu,)}, `x.z` shape {start.shape}."
-
-        def shapes(field: str, function: Dynamics) -> tuple[int, ...]:
-            def call(theta, z):
-                x = State(jnp.zeros((r, ny)), z)
-                return evaluated(function, self.names, jnp.zeros(()), x, jnp.zeros((nu,)), theta)
-
-            check_indices(field, function, self, State, theta, start.shape)
-            return traced_shape(field, function, call, theta, start, layout=layout)
-
-        shape = shapes("dynamics", self.dynamics)
-        lower = (
-            "The lower ones follow from the highest: return that of each output, not each state."
-        )
-        rule = f"must return shape ({ny},), one value for each of the outputs "
-        good = shape == (ny,) or (ny == 1 and shape == ())
-        advice = lower if shape[:1] == (sum(self.degrees),) else ""
-        check(good, "dynamics", rule + ", ".join(self.outputs), f"shape {shape}", advice)
-        if self.actuator is not None:
-            line = (
-                jax.ShapeDtypeStruct((3,), theta.dtype),
-                jax.ShapeDtypeStruct((3, nu), theta.dtype),
-            )
-            act = self.actuator
-            driven_shape = traced_shape(
-                "actuator", act, lambda t, u, p: act(t, u, self.named(p)), *line, theta
-            )
-            rule = "must return as many inputs as it gets, a row for each step"
-            check(driven_shape == (3, nu), "actuator", rule, f"shape {driven_shape} for {(3, nu)}")
-        if self.internal is not None:
-            shape = shapes("internal", self.internal)
-            check(
-                shape == start.shape or (start.shape == (1,) and shape == ()),
-                "internal",
-                f"must return the shape of `internal_initial` {start.shape}",
-                f"shape {shape}",
-            )
 
     def _check_algebraic(self) -> None:
         """Check what outputs of relative degree 0 depend on, at some of the probes."""

@@ -24,6 +24,7 @@ from eoi_jax.data.readers.limits import MAX_GIGABYTES, Allowance
 from eoi_jax.data.resampling import Real
 from eoi_jax.models.effects import AbstractEffect
 from eoi_jax.models.equations.text_model import plant_from_json
+from eoi_jax.models.function_snapshot import FunctionSnapshot
 from eoi_jax.models.plant import Plant
 from eoi_jax.models.stored_classes import (
     check_fields,
@@ -297,6 +298,7 @@ def _encode(value: Any, arrays: _Arrays) -> Any:
         kind = "list" if isinstance(value, list) else "tuple"
         return {kind: [_encode(element, arrays) for element in value]}
     value = stored_form(value)
+    value = value.function if isinstance(value, FunctionSnapshot) else value
     fields = dataclasses.fields(value) if dataclasses.is_dataclass(value) else ()
     content = {
         field.name: _encode(getattr(value, field.name), arrays)
@@ -381,7 +383,7 @@ def _function(name: str, substitute: Any) -> Callable:
 
 def _of_package(value: Any) -> bool:
     """Whether the class of a value is of this package."""
-    return type(value).__module__.startswith(_PACKAGE)
+    return not isinstance(value, FunctionSnapshot) and type(value).__module__.startswith(_PACKAGE)
 
 
 def _name(value: Any) -> str:

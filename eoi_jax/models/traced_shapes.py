@@ -43,8 +43,13 @@ def traced_shape(
     Raises:
         ValueError: the function needs the values of what it gets, or does not run.
     """
+    return traced(field, function, call, *arguments, layout=layout).out_avals[0].shape
+
+
+def traced(field: str, function: Any, call: Callable, *arguments: Any, layout: str = "") -> Any:
+    """What a call computes, as a closed jaxpr; arguments and errors as of `traced_shape`."""
     try:
-        return jax.eval_shape(call, *arguments).shape
+        return jax.make_jaxpr(call)(*arguments)
     except ValueError as error:
         if str(error).startswith("`"):  # of a field of its own
             raise
@@ -64,7 +69,7 @@ def traced_shape(
         raise
     except _FAILURES as error:
         value = f"{type(error).__name__}: {error}{line_of(function, error)}"
-        advice = "" if field == "actuator" else _ARGUMENTS
+        advice = _ARGUMENTS if field in ("dynamics", "internal") else ""
         scalar = advice and "scalar" in str(error)  # lax.cond, lax.while_loop
         advice += " " + _SCALARS if scalar else ""
         check(False, field, "must run where it is called", value, advice)
