@@ -86,6 +86,7 @@ CALLS = {
     "sweep(plant, run, starts=3)": "`starts` must be dicts of parameters, or rows, got int",
     "sweep(plant, run, seed=-1)": "`seed` must be an integer ≥ 0, got -1",
     "Plant(law, ['k'])": "`parameters` must be a dict by name, got list",
+    "Plant(law, {'k': time})": "`parameters[k]` must be a number, got shape (500,). Give",
     "Plant(law, None)": "`parameters` must be a dict by name, got NoneType",
     "Plant(law, {'k': 'a'})": "`parameters` must be finite numbers, got {'k': 'a'}",
     "Plant(3, {'k': 1.0})": "`dynamics` must be a function f(t, x, u, p), got 3",

@@ -111,14 +111,14 @@ class _Split(NamedTuple):
     static_arguments: tuple[tuple[str, Hashable], ...]
 
     @property
-    def key(self) -> tuple[Hashable, ...]:
+    def key(self) -> "_Key":
         """Without the arrays."""
         # 1, 1.0 and True are equal, but not the same to a program.
         kinds = (
             tuple(map(type, self.fixed)),
             tuple(type(value) for _, value in self.static_arguments),
         )
-        return (
+        return _Key(
             self.structure,
             self.fixed,
             kinds,
@@ -130,6 +130,19 @@ class _Split(NamedTuple):
         """Of the function, with these arrays."""
         args, kwargs = _joined(self.structure, self.fixed, arrays)
         return args, {**kwargs, **dict(self.static_arguments)}
+
+
+class _Key:
+    """What a program is found by, as it is when it is made: a class may read other values later."""
+
+    def __init__(self, *parts: Hashable):
+        self._parts, self._hash = parts, hash(parts)
+
+    def __hash__(self) -> int:
+        return self._hash
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, _Key) and self._hash == other._hash and self._parts == other._parts
 
 
 class _Marker:

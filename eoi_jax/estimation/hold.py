@@ -302,16 +302,16 @@ def _logged_late(
         return np.where(np.arange(len(delays)) == j, -lead * period, delays)
 
     lead = step = 2.0
-    if lead * period > longest or not (least := index(earlier(lead))) < smallest:
+    if lead * period > longest or not (lowest := index(earlier(lead))) < smallest:
         return None
-    while (lead + step) * period <= longest and (value := index(earlier(lead + step))) < least:
-        lead, least, step = lead + step, value, 2.0 * step
+    while (lead + step) * period <= longest and (value := index(earlier(lead + step))) < lowest:
+        lead, lowest, step = lead + step, value, 2.0 * step
     while step > 0.5:
         step *= 0.5
         value, place = min((index(earlier(trial)), trial) for trial in (lead - step, lead + step))
-        if value < least:
-            lead, least = place, value
-    return _least(index, earlier(lead), least, (j,), period, longest)
+        if value < lowest:
+            lead, lowest = place, value
+    return _least(index, earlier(lead), lowest, (j,), period, longest)
 
 
 def longest_lead(records: Sequence[Record]) -> float:

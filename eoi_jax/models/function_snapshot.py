@@ -118,9 +118,9 @@ class FunctionSnapshot:
         if jnp.result_type(float) != self._arithmetic:  # another precision is another program
             return
         leaves, structure = self._as_read()
-        now = _digest(self._trace(leaves, structure))
+        digest = _digest(self._trace(leaves, structure))
         # A function that makes a new callback each time it is traced is equal to nothing.
-        good = now == self._equations or now != _digest(self._trace(leaves, structure))
+        good = digest == self._equations or digest != _digest(self._trace(leaves, structure))
         rule = "must read the same values outside itself as when its plant was made"
         name = getattr(self.function, "__name__", type(self.function).__name__)
         check(good, self.field, rule, name, "Make the plant anew.")

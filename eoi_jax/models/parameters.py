@@ -53,7 +53,9 @@ def replaced(names: tuple[str, ...], theta: Any, values: Mapping[str, Any]) -> A
     parts = [values.get(key, old) for key, old in zip(names, theta, strict=True)]
     if any(isinstance(part, Tracer) for part in parts):
         return jnp.stack([jnp.asarray(part, float) for part in parts])
-    return np.asarray([float(part) for part in parts])
+    array = np.asarray([float(part) for part in parts])
+    array.flags.writeable = False
+    return array
 
 
 def limits_of(name: str, pair: Any) -> tuple[float, float]:
@@ -81,7 +83,7 @@ def check_names(names: tuple[str, ...], fixed: tuple[str, ...], bounds: Mapping[
         check(
             good,
             "parameters",
-            "must have names that are Python identifiers",
+            "must have names that are Python identifiers without an underscore in front",
             repr(key),
             "The model reads them as `p.name`.",
         )

@@ -165,7 +165,12 @@ class Plant(eqx.Module):
         check_names(self.names, self.fixed, bounds or {})
         for kind, channels in (("inputs", self.inputs), ("outputs", self.outputs)):
             check(len(set(channels)) == len(channels), kind, "must have different names", channels)
+        for key in self.names:
+            number = np.ndim(parameters[key]) == 0
+            rule, advice = "must be a number", "Give each element a name of its own."
+            check(number, f"parameters[{key}]", rule, f"shape {np.shape(parameters[key])}", advice)
         self.theta = np.asarray([real(parameters[key]) for key in self.names])
+        self.theta.flags.writeable = False
         finite = bool(np.all(np.isfinite(self.theta)))
         check(finite, "parameters", "must be finite numbers", parameters)
         limits = [limits_of(key, (bounds or {}).get(key, (-np.inf, np.inf))) for key in self.names]
@@ -261,6 +266,9 @@ class Plant(eqx.Module):
             theta, shape = values, np.shape(values)
             rule = f"must be {counted(len(self.names), 'value')} ({', '.join(self.names)})"
             check(shape == (len(self.names),), "parameters", rule, f"shape {shape}")
+            if not isinstance(theta, jax.Array):
+                theta = np.array(theta)
+                theta.flags.writeable = False
         return eqx.tree_at(lambda plant: plant.theta, self, theta)
 
     def declared_anew(

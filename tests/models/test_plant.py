@@ -308,8 +308,11 @@ def build(**change):
     [
         ({"parameters": {}}, "`parameters` must name at least one parameter"),
         ({"parameters": {"k 1": 1.0}}, "`parameters` must have names that are Python identifiers"),
-        ({"parameters": {"lambda": 1.0}}, "Python identifiers, got 'lambda'. The model reads them"),
-        ({"parameters": {"_k": 1.0}}, "Python identifiers, got '_k'"),
+        (
+            {"parameters": {"lambda": 1.0}},
+            "Python identifiers without an underscore in front, got 'lambda'. The model reads",
+        ),
+        ({"parameters": {"_k": 1.0}}, "without an underscore in front, got '_k'"),
         ({"parameters": {"k": np.nan}}, "`parameters` must be finite"),
         ({"fixed": ("dd",)}, "`fixed` must be one of k, d, g, got 'dd'. Did you mean `d`"),
         ({"fixed": ("k", "d", "g")}, "`fixed` must leave a parameter to estimate, got k, d, g"),
@@ -391,3 +394,14 @@ def test_a_plant_is_called_as_its_function_or_else_a_model():
     assert Plant(spring, {"k": 1.0}, name="coil").name == "coil"
     assert Plant(lambda t, x, u, p: -p.k * x.y[0], {"k": 1.0}).name == "model"
     assert Plant(functools.partial(spring), {"k": 1.0}).name == "model"
+
+
+def test_parameter_values_of_a_plant_cannot_be_changed_in_place():
+    plant = Plant(lambda t, x, u, p: u - p.a * x.y[0], {"a": 1.0})
+    values = np.array([2.0])
+    for model in (plant, plant.with_parameters({"a": 2.0}), plant.with_parameters(values)):
+        with pytest.raises(ValueError, match="read-only"):
+            model.theta[0] = 9.0
+    model = plant.with_parameters(values)
+    values[0] = 9.0
+    assert model.parameters == {"a": 2.0}

@@ -26,6 +26,8 @@ from jaxtyping import Float
 
 from eoi_jax._checks import check
 from eoi_jax.compiler.programs import jit
+from eoi_jax.models.captured_values import object_content
+from eoi_jax.models.function_snapshot import is_of_package
 from eoi_jax.models.plant import Plant
 from eoi_jax.models.state_names import numbered_states
 
@@ -182,10 +184,16 @@ class AbstractEffect(ABC):
 
     def __eq__(self, other: object) -> bool:
         # Equality by value, so that models with equal effects are compiled once.
-        return type(self) is type(other) and vars(self) == vars(other)
+        if type(self) is not type(other):
+            return False
+        if is_of_package(type(self)):
+            return vars(self) == vars(other)
+        return object_content(self) == object_content(other)
 
     def __hash__(self) -> int:
-        return hash((type(self), tuple(sorted(vars(self).items()))))
+        if is_of_package(type(self)):
+            return hash((type(self), tuple(sorted(vars(self).items()))))
+        return hash(object_content(self))
 
     def next_form(self) -> "AbstractEffect | None":
         """What a fit goes on to where this one fits; None for an effect of a single form."""
