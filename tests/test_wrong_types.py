@@ -24,6 +24,12 @@ CALLS = {
     "observe(plant, None, None, 0.01, time, time)": "`observer` must be an observer with its gains",
     "observe(plant, eoi.observers.SuperTwisting(9.0), None, 1, 1, 1, lowpass=9.0)": "`lowpass` must"
     " be a filter `LowPass(cutoff, order)`, got float",
+    "observe(plant, eoi.observers.SecondOrder(9.0, 9.0, 9.0), None, 0.01, run, time)": "`y` must "
+    "be an array, got a Record. Give its `outputs` and `inputs`.",
+    "observe(plant, eoi.observers.SecondOrder(9.0, 9.0, 9.0), None, 0.01, time, time, noise=None)"
+    "": "`noise` must be a number, or one for each output, got None. Leave it out",
+    "observe(plant, eoi.observers.SecondOrder(9.0, 9.0, 9.0), None, 0.01, time, time, "
+    "valid=time[1:] > 0)": "`valid` must have shape (500,) or (500, 1), a flag for each sample of",
     "RecursiveLeastSquares('a')": "`forgetting` must lie in (0, 1], got a",
     "online_estimator(plant, run)": "`result` must be a result of `identify`, got Plant",
     "export_estimator(plant, 'rig.c')": "`estimator` must be an OnlineEstimator, got Plant",

@@ -3,6 +3,8 @@
 from collections.abc import Sequence
 from dataclasses import replace
 
+import jax
+import jax.numpy as jnp
 import numpy as np
 
 from eoi_jax._checks import check, check_choice, check_kind
@@ -21,8 +23,9 @@ from eoi_jax.models.effects import (
     standard,
     wider,
 )
-from eoi_jax.models.effects.effect import AbstractCascade, AbstractEffect, Seen
+from eoi_jax.models.effects.effect import AbstractCascade, AbstractEffect, AbstractTerm, At, Seen
 from eoi_jax.models.equations.system import TextDynamics
+from eoi_jax.models.function_snapshot import is_of_package
 from eoi_jax.models.placements import placements
 from eoi_jax.models.plant import Plant
 from eoi_jax.models.used_inputs import used_inputs
@@ -77,10 +80,31 @@ def named_effects(
             chosen += [candidate for candidate in library if candidate.name == effect]
         else:
             check_kind(field, effect, AbstractEffect, "names or effects")
+            if not is_of_package(type(effect)):
+                _check_own(field, effect, plant)
             chosen.append(effect)
     rule = f"must hold one that fits {plant.name} and its records"
     check(len(chosen) > 0, field, rule, ", ".join(map(str, effects)))
     return tuple(chosen)
+
+
+def _check_own(field: str, effect: AbstractEffect, plant: Plant) -> None:
+    """Check what a user's class of effects declares, and the shape of its term."""
+    kind = type(effect).__name__
+    for attribute in ("name", "sentence"):
+        good = isinstance(getattr(effect, attribute, None), str)
+        check(good, field, f"must have a `{attribute}`, a text", kind)
+    good = not effect.shapes or type(effect).grid is not AbstractEffect.grid
+    rule = "must have `grid`, with initial values of its `shapes`"
+    check(good, field, rule, kind, "It returns a row for each trial, a column for each shape.")
+    if isinstance(effect, AbstractTerm):
+        number, state = jnp.zeros(()), jnp.zeros((plant.rows, len(plant.outputs)))
+        inputs, z = jnp.zeros(len(plant.inputs)), jnp.zeros(effect.states)
+        point = At(number, number, number, number, z, number, state, inputs)
+        gains, shapes = ([number] * len(part) for part in (effect.gains, effect.shapes))
+        returned = jax.eval_shape(lambda: jnp.asarray(effect.term(point, gains, shapes))).shape
+        rule = "must return a number from `term`, that of one instant"
+        check(returned == (), field, rule, f"shape {returned} from {kind}", "Write `gain[0]`.")
 
 
 def names_with_place(plant: Plant, effects: Sequence[AbstractEffect]) -> set[str]:

@@ -18,6 +18,7 @@ from eoi_jax.compiler.jax_private import Tracer
 from eoi_jax.compiler.programs import jit
 from eoi_jax.data.input_holds import TRACED_HOLDS, Hold, HoldArgument, read_hold
 from eoi_jax.data.masks import beyond_starts, moved_steps, tapered
+from eoi_jax.data.record import Record
 from eoi_jax.data.resampling import inputs_within_steps
 from eoi_jax.estimation.kernel import Kernel, Steps, Sums, Trace
 from eoi_jax.estimation.lowpass import DiscreteFilter, LowPass
@@ -114,6 +115,11 @@ def observe(
     """
     check_kind("plant", plant, Plant, "a Plant")
     check_observer(plant, observer)
+    for field, array in (("y", y), ("u", u)):
+        good, advice = not isinstance(array, Record), "Give its `outputs` and `inputs`."
+        check(good, field, "must be an array", "a Record", advice)
+    rule = "must be a number, or one for each output"
+    check(noise is not None, "noise", rule, "None", "Leave it out if it is not known.")
     if not isinstance(h, Tracer):
         check_positive("h", h, "It is the sample period in seconds.")
     hold = read_hold(hold, plant.inputs, automatic=False, words=TRACED_HOLDS)
@@ -126,15 +132,17 @@ def observe(
     check(len(outputs) > 2, "y", "must have at least three samples", len(outputs))
     rule = f"must have as many samples as `y`, {len(outputs)}"
     check(len(inputs) == len(outputs), "u", rule, len(inputs))
-    explicit = observer.scheme == "explicit"
     if lowpass is None:
         lowpass = LowPass(0.2 * np.pi / h, plant.relative_degree + 1)
     if transient is None:
-        slowest = 10.0 / lowpass.cutoff + (1.0 if explicit else 0.0)
+        slowest = 10.0 / lowpass.cutoff + (1.0 if observer.scheme == "explicit" else 0.0)
         transient = jnp.minimum(slowest, 0.2 * h * len(outputs))
     theta = (plant if theta is None else plant.with_parameters(theta)).theta
     measured = jnp.ones(outputs.shape, bool) if valid is None else jnp.asarray(valid, bool)
     measured = measured[:, None] if measured.ndim == 1 else measured
+    rule = f"must have shape ({len(outputs)},) or {outputs.shape}, a flag for each sample of `y`"
+    good = measured.shape in (outputs.shape, (len(outputs), 1))
+    check(good, "valid", rule, f"shape {measured.shape}")
     measured = jnp.broadcast_to(measured, outputs.shape)
     numbers = (theta, h, t0, transient, TAPER / lowpass.cutoff, noise)
     return _observed(

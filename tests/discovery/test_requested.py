@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 
+import jax.numpy as jnp
 import numpy as np
 import pytest
 from found import discovery
@@ -9,7 +10,7 @@ from found import discovery
 import eoi_jax as eoi
 from eoi_jax import effects
 from eoi_jax._status import Status
-from eoi_jax.discovery.requested import chain_notes, with_requested
+from eoi_jax.discovery.requested import chain_notes, named_effects, with_requested
 from eoi_jax.report.discovery import answer
 
 
@@ -72,3 +73,37 @@ def test_an_effect_that_the_records_do_not_show_is_told_as_not_tried():
         "saturating_loss was not tried: it needs an output of one sign, apart from noise, and the "
         "records of the fit show none"
     )
+
+
+class WithoutName(eoi.effects.AbstractTerm):
+    gains = (eoi.effects.Parameter("g", "{f}"),)
+
+    def term(self, at, gain, shape):
+        return gain[0] * at.y
+
+
+class WithoutGrid(WithoutName):
+    name = sentence = "steep"
+    shapes = (eoi.effects.Parameter("w", "{y}"),)
+
+
+class OfThree(WithoutName):
+    name = sentence = "three"
+
+    def term(self, at, gain, shape):
+        return gain[0] * jnp.ones(3)
+
+
+@pytest.mark.parametrize(
+    ("kind", "message"),
+    [
+        (WithoutName, "must have a `name`, a text, got WithoutName"),
+        (WithoutGrid, "must have `grid`, with initial values of its `shapes`, got WithoutGrid"),
+        (OfThree, r"must return a number from `term`, .* got shape \(3,\) from OfThree"),
+    ],
+)
+def test_an_effect_that_lacks_something_is_named(kind, message):
+    plant = eoi.Plant(lambda t, x, u, p: u - p.a * x.y[0], {"a": 1.0})
+    record = eoi.Record.from_period(0.1, np.sin(np.arange(9.0)), np.ones(9))
+    with pytest.raises(ValueError, match=message):
+        named_effects([kind()], plant, [record])
