@@ -204,7 +204,7 @@ def outcomes(
     several = records(case, kind, seeds, samples)
     # Chosen once, as a user would: then nothing is compiled anew.
     first = eoi.identify(case.nominal, several[0])
-    substeps = default_substeps(first.records, first.lowpass.cutoff)[0]
+    substeps = default_substeps(case.nominal, first.records, first.lowpass.cutoff)[0]
     found = {method: [] for method in methods}
     for record in several:
         start = eoi.identify(case.nominal, record, first.observer, first.lowpass, substeps=substeps)

@@ -262,5 +262,6 @@ def with_own_constants(closed: ClosedJaxpr) -> ClosedJaxpr:
     ]
     constants = [copied(constant) for constant in closed.consts]
     if closed.jaxpr is closed:  # from JAX 0.12 on
-        return closed.replace(eqns=equations, consts=constants)
+        anew: Any = closed.replace
+        return anew(eqns=equations, consts=constants)
     return ClosedJaxpr(closed.jaxpr.replace(eqns=equations), constants)

@@ -1000,7 +1000,9 @@ def beside_a_level(offset: float) -> tuple[FreeRunAnswer, list[Placed]]:
         plant = augmented(FAN, placed, {"constant_offset": 0.0})
         fit = refine_once(plant, (blown(1, offset),), None)
         models.append(Judged(fit, placed, judge.runs(fit.plant)))
-    return FreeRunAnswer(*models, (blown(1, offset),), judge, True, 1.0), [level, square]
+    base, best = models
+    answer = FreeRunAnswer(base, best, (blown(1, offset),), judge, True, 1.0)
+    return answer, [level, square]
 
 
 @pytest.mark.parametrize(("offset", "stays"), [(0.0, False), (0.3, True)])

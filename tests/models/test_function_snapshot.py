@@ -115,7 +115,8 @@ def test_attributes_of_objects_of_classes_and_of_modules_are_read(monkeypatch):
         return u - p.a * module.rate * x.y[0]
 
     for rate in (1.0, 2.0, 1.0, 3.0):
-        model.rate = module.rate = rate
+        model.rate = rate
+        monkeypatch.setattr(module, "rate", rate, raising=False)
         for function in (model, model.method, Callable(rate), by_module):
             assert end(eoi.Plant(function, {"a": 0.1})) == pytest.approx(
                 reached(rate, 1.0, 1.0), rel=1e-6

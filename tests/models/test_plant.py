@@ -380,6 +380,7 @@ def test_declared_anew_keeps_what_is_not_named():
     assert new.parameters == {"a": 3.0, "gain": 2.0}
     assert (new.lower.tolist(), new.upper.tolist()) == ([0.0, 0.0], [5.0, 9.0])
     assert new.fixed == ("gain",)
+    assert new.actuator is not None
     assert new.actuator.function is late
     assert new.units == plant.units
     with pytest.raises(ValueError, match="must lie in its bounds"):

@@ -817,11 +817,10 @@ def test_a_contact_with_damping_converges_at_fourth_order():
                 return z[0] - 0.1 if t > 1e-9 else (1.0 if inside else -1.0)
 
             border.terminal, border.direction = True, -1 if inside else 1
-            part = solve_ivp(
-                rate, (0.0, remaining), state, "DOP853", events=border, rtol=1e-12, atol=1e-14
-            )
-            state, remaining = part.y[:, -1], remaining - part.t[-1]
-            inside ^= bool(part.t_events[0].size)
+            span = 0.0, remaining
+            run: Any = solve_ivp(rate, span, state, "DOP853", events=border, rtol=1e-12, atol=1e-14)
+            state, remaining = run.y[:, -1], remaining - run.t[-1]
+            inside ^= bool(run.t_events[0].size)
     errors = [
         np.max(
             np.abs(simulate(plant, time, inputs, hold="zero", substeps=n).outputs[:, 0] - events)
