@@ -1,5 +1,7 @@
 """Free runs: closed forms, an independent solver, and friction that sticks."""
 
+from typing import Any
+
 import jax
 import jax.numpy as jnp
 import numpy as np
