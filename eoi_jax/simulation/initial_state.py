@@ -124,6 +124,7 @@ def window_starts(
     begins: Bool[np.ndarray, " runs"] | None,
     carried: State | None,
     owners: Int[np.ndarray, " runs"] | None = None,
+    by_spread: bool = False,
 ) -> tuple[Starts, Starts]:
     """Initial states as the first samples of each run tell them, and as a longer run has them.
 
@@ -138,6 +139,8 @@ def window_starts(
         carried: states that a run along the whole record has at each start; not finite ones do not
             count. None: there is no such run.
         owners: as of `initial_states`.
+        by_spread: whether outputs count by their spread to begin with, and not by their noise: of
+            outputs that contradict each other the fits may end with either one.
 
     Returns:
         Values as of `initial_states`: with the internal states of the longer run unless the first
@@ -166,7 +169,8 @@ def window_starts(
     pairs = () if past is None else moving_pairs(past)
     spread = _spread(y, owners)
     floor = np.maximum(noise, _SETTINGS.rounding * spread)
-    size = floor if y.shape[-1] > 1 else spread  # of a single output it does not matter
+    single = y.shape[-1] == 1  # of a single output it does not matter
+    size = spread if single or by_spread else floor
     first_samples = _Heads(run, heads, y, valid, period, size, past, fixed, pairs)
     for _ in range(_SETTINGS.weighings):
         fits = _fitted(first_samples, starts, measured, carried)

@@ -30,6 +30,7 @@ from eoi_jax.simulation.initial_state import (
 )
 from eoi_jax.simulation.integrator import Drive
 
+_ALIKE = 1e-6  # relative difference of starts that changes nothing
 # Of the first samples of some runs: what drives them, outputs, which are valid, the noise of the
 # sensors, change with the past.
 Heads = tuple[Drive, np.ndarray, np.ndarray, np.ndarray, np.ndarray | None]
@@ -114,10 +115,34 @@ def _fitted(run: Run, courses: Sequence[Course]) -> list[Starts]:
     parts = [course.heads(course.runs.starts, course.runs.head) for course in courses]
     begins = np.concatenate([course.begins for course in courses])
     owners = np.repeat(np.arange(len(parts)), [len(part[1]) for part in parts])
-    fits = window_starts(run, *_joined(parts), begins, _carried(run, courses), owners)
-    by_record = zip(*(np.split(fit, np.flatnonzero(np.diff(owners)) + 1) for fit in fits),
+    heads, carried = _joined(parts), _carried(run, courses)
+
+    def by_record(by_spread: bool) -> list[Starts]:
+        fits = window_starts(run, *heads, begins, carried, owners, by_spread)
+        pairs = zip(*(np.split(fit, np.flatnonzero(np.diff(owners)) + 1) for fit in fits),
                     strict=True)  # fmt: skip
-    return [_chosen(run, *pair) for pair in zip(courses, by_record, strict=True)]
+        return [_chosen(run, *pair) for pair in zip(courses, pairs, strict=True)]
+
+    starts = by_record(by_spread=False)
+    if len(run.plant.outputs) == 1:
+        return starts
+    others = by_record(by_spread=True)
+    return [_likelier(run, *item) for item in zip(courses, starts, others, strict=True)]
+
+
+def _likelier(run: Run, course: Course, first: Starts, second: Starts) -> Starts:
+    """The starts with which the runs of a record are likelier.
+
+    By the likelihood of normal errors whose variances are those of the runs, and at least those of
+    the noise of the sensors.
+    """
+    if np.allclose(first, second, rtol=_ALIKE, atol=0.0, equal_nan=True):
+        return first
+    noise = course.record.noise**2
+    powers = [np.sum(_errors(run, course, values), axis=0) for values in (first, second)]
+    count = max(sum(part.stop - part.start for part in _scored(course.runs)), 1)
+    costs = [np.sum(np.log(np.maximum(power / count, noise))) for power in powers]
+    return second if costs[1] < costs[0] else first
 
 
 def _joined(parts: Sequence[Heads]) -> Heads:
@@ -152,22 +177,28 @@ def _chosen(run: Run, course: Course, fits: tuple[Starts, Starts]) -> Starts:
     head_starts, record_starts = fits
     if len(head_starts) < 2 or np.array_equal(head_starts, record_starts, equal_nan=True):
         return head_starts
-    errors = [_errors(run, course, values) for values in fits]
+    spread = np.std(course.record.outputs, axis=0)
+    weights = np.where(spread > 0, spread, 1.0) ** -2.0
+    errors = [_errors(run, course, values) @ weights for values in fits]
     head_error, record_error = (np.sum(e, axis=0) - e for e in errors)
     return np.where((record_error < head_error)[:, None], record_starts, head_starts)
 
 
-def _errors(run: Run, course: Course, values: Starts) -> Float[np.ndarray, " runs"]:
-    """Squared errors of runs behind their first samples, of each output by its own spread."""
+def _scored(runs: Plan) -> list[slice]:
+    """Samples of each run behind its first ones."""
+    pairs = zip(runs.starts, runs.predicted, strict=True)
+    return [slice(max(part.start, start + runs.head), part.stop) for start, part in pairs]
+
+
+def _errors(run: Run, course: Course, values: Starts) -> Float[np.ndarray, "runs ny"]:
+    """Sums of the squared errors of runs behind their first samples."""
     outputs, record, runs = _outputs(run, course, values), course.record, course.runs
-    spread = np.std(record.outputs, axis=0)
     sums = []
-    for start, samples, y_hat in zip(runs.starts, runs.predicted, outputs, strict=True):
-        part = slice(max(samples.start, start + runs.head), samples.stop)
+    for start, part, y_hat in zip(runs.starts, _scored(runs), outputs, strict=True):
         counts = record.output_valid[part]
         with np.errstate(over="ignore", invalid="ignore"):
             error = record.outputs[part] - y_hat[part.start - start : part.stop - start]
-            sums.append(np.sum(np.where(counts, error / np.where(spread > 0, spread, 1.0), 0) ** 2))
+            sums.append(np.sum(np.where(counts, error, 0.0) ** 2, axis=0))
     largest = np.sqrt(np.finfo(float).max)  # of runs that diverge; sums of it stay finite
     return np.nan_to_num(np.asarray(sums), nan=largest, posinf=largest).clip(max=largest)
 

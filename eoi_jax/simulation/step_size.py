@@ -187,7 +187,8 @@ def settled_steps(
         if np.all(enough):
             return count, True
         first = size if halvings == 0 else first
-        falls = np.isfinite(size) & ~(size > first / 2**halvings)
+        # Of first order at least; what is so in the limit begins a little slower.
+        falls = np.isfinite(size) & ~(size > 1.2 * first / 2**halvings)
         count, halvings = 2 * count, halvings + 1
         if halvings > RULES.halvings and not np.all(falls | enough):
             break

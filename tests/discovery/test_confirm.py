@@ -51,13 +51,27 @@ def test_free_runs_beyond_the_noise_are_told(records):
     assert beyond_noise(None) == []
 
 
+def late_acceleration(seed: int) -> Record:
+    """A position, and an acceleration that comes late."""
+    made = shaken(seed, 0.02, ("x", "acc"))
+    late = np.stack([made.outputs[:, 0], np.roll(made.outputs[:, 1], 8)], axis=1)[50:]
+    late[:, 0] += 2e-3 * np.random.default_rng(seed + 1).standard_normal(len(late))
+    return Record(made.time[50:], made.inputs[50:], late, hold="linear",
+                  input_names=("base",), output_names=("x", "acc"))  # fmt: skip
+
+
+@pytest.mark.parametrize("seed", [2, 3, 4, 5])
+def test_windows_follow_the_sensor_with_which_runs_are_likelier(seed):
+    """Of two that contradict each other the first samples could be fitted to either."""
+    record = late_acceleration(seed)
+    for length in (np.inf, 2.0):
+        runs = validate(mixed(), record, window=length)
+        assert runs.rmse[0] < 1.2 * sensor_noise(runs)[0]
+
+
 def test_a_sensor_that_is_wrong_is_told_and_not_those_whose_windows_it_spoils():
     """The acceleration comes late; position and velocity at the start of a window follow it."""
-    made = shaken(1, 0.02, ("x", "acc"))
-    late = np.stack([made.outputs[:, 0], np.roll(made.outputs[:, 1], 8)], axis=1)[50:]
-    late[:, 0] += 2e-3 * np.random.default_rng(2).standard_normal(len(late))
-    record = Record(made.time[50:], made.inputs[50:], late, hold="linear",
-                    input_names=("base",), output_names=("x", "acc"))  # fmt: skip
+    record = late_acceleration(1)
     whole, windows = (validate(mixed(), record, window=length) for length in (np.inf, 2.0))
     assert [text[:15] for text in beyond_noise(whole)] == ["free runs of ac"]
     assert len(beyond_noise(windows)) == 2

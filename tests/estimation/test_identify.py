@@ -377,7 +377,7 @@ def test_a_record_too_long_to_keep_its_signals_gives_the_same(swung):
 
 def test_a_regressor_without_bound_where_nothing_is_scored_costs_no_standard_error():
     weights = np.array([[0.0, 1.0, 2.0]]).T
-    got = import_module("eoi_jax.estimation.identify")._weighted(
+    got = import_module("eoi_jax.estimation.covariance").weighted(
         weights, np.array([[np.inf, 3.0, np.nan]]).T
     )
     np.testing.assert_array_equal(got[:, 0], [0.0, 3.0, np.nan])  # where it counts it stays
@@ -709,7 +709,7 @@ def test_wrong_calls_name_field_rule_and_value(change, message):
 
 def test_errors_are_worked_out_once_and_where_somebody_asks(monkeypatch):
     """An estimate is often but the start of another one."""
-    module, calls = import_module("eoi_jax.estimation.identify"), []
+    module, calls = import_module("eoi_jax.estimation.covariance"), []
     long_run = module.long_run
     monkeypatch.setattr(module, "long_run", lambda *args: calls.append(1) or long_run(*args))
     result = identify(NOMINAL, swaying(noise=1e-3), OBSERVER, LOWPASS, instruments=False)
@@ -721,7 +721,7 @@ def test_errors_are_worked_out_once_and_where_somebody_asks(monkeypatch):
 
 
 def test_a_long_record_is_not_kept_until_somebody_asks(monkeypatch):
-    module, calls = import_module("eoi_jax.estimation.identify"), []
+    module, calls = import_module("eoi_jax.estimation.covariance"), []
     long_run = module.long_run
     monkeypatch.setattr(module, "long_run", lambda *args: calls.append(1) or long_run(*args))
     prepared = prepare_records(NOMINAL, (swaying(noise=1e-3),), LOWPASS, substeps=2)

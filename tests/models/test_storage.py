@@ -312,6 +312,7 @@ LATER_FIELDS = {
     "test_windows_after": None,
     "wraps": None,
     "further_shapes": {"tuple": []},
+    "codes": {"tuple": []},
 }
 # Words that have changed since.
 LATER_WORDS = {("code", "explained"): "complete"}
