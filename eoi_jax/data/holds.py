@@ -48,7 +48,8 @@ class HoldSettings:
             a sample and read behind the outputs [samples]. Beyond, it was logged late.
         least_lead: ratio of the index, or of the power of the errors, with a shift up to `earliest`
             to that with an input that was logged later than that, from which on it counts: what
-            a model lacks may be a bit smaller with inputs to come.
+            a model lacks may be smaller with inputs to come. Set with a robot's joints in view
+            whose dry friction and spring were not declared.
         longest_lead: of an input that was logged late [samples].
         shortest_record: of those that are asked for such a lead [leads].
         instants: of a record, at which the gain of an input is compared with the declared one.
@@ -67,7 +68,7 @@ class HoldSettings:
     trial_skews: tuple[float, ...] = (0.5, 0.1)
     least_skew: float = 0.05
     earliest: float = 1.5
-    least_lead: float = 2.0
+    least_lead: float = 3.0
     longest_lead: float = 64.0
     shortest_record: float = 10.0
     instants: int = 200

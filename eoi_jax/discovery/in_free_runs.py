@@ -77,9 +77,6 @@ def with_free_runs(
 ) -> Discovery:
     """The discovery, with what lowers the error of free runs on held-out records.
 
-    Inputs that seem to have been logged late may follow dry friction or a spring that the model
-    lacks: records are also searched as they were logged, and that counts which predicts better.
-
     Args:
         discovery: the answer so far.
         records: to fit, as given.
@@ -95,15 +92,9 @@ def with_free_runs(
     if rival is not None:
         further.append((rival, placed_effects(discovery)))
     starts = [discovery.declared.plant, plant]
-    period = min(record.sample_period for record in records)
-    is_late = np.min(discovery.held_out[0].skew, initial=0.0) < -period
-    searches = [variants[:1], variants[1:]] if is_late and variants[1:] else [variants]
-    answers = [search_free_runs(starts, search, effects, further, rival, alpha)
-               for search in searches]  # fmt: skip
-    answers = [answer for answer in answers if answer is not None]
-    if not answers:
+    answer = search_free_runs(starts, variants, effects, further, rival, alpha)
+    if answer is None:
         return discovery
-    answer = min(answers, key=lambda answer: answer.best.error)
     justified = rival is not None and not stands_in(discovery.added)
     is_store, is_motion = may_be_store(discovery.added), may_be_motion(discovery)
     value = _odds(discovery, answer) if is_motion else 0.0
