@@ -63,7 +63,9 @@ def error_over_noise(model: Judged) -> str:
         return "no more than noise"
     if np.any(error_of_input_noise(model.refinement.plant, run)):
         return "no more than noise in the log of the inputs explains"
-    return f"{_most_times(run):.2g} times the noise{'' if run.window is None else ' in windows'}"
+    times = f"{_most_times(run):.2g} times the noise{'' if run.window is None else ' in windows'}"
+    # Runs that exceed it are told apart: they drift. Others may by the error of their starts.
+    return times if silent else f"{times}, as a right model may from starts that are told no better"
 
 
 def _most_times(run: Validation) -> float:
