@@ -30,7 +30,6 @@ from eoi_jax.simulation.initial_state import (
 )
 from eoi_jax.simulation.integrator import Drive
 
-_ALIKE = 1e-6  # relative difference of starts that changes nothing
 # Of the first samples of some runs: what drives them, outputs, which are valid, the noise of the
 # sensors, change with the past.
 Heads = tuple[Drive, np.ndarray, np.ndarray, np.ndarray, np.ndarray | None]
@@ -136,7 +135,7 @@ def _likelier(run: Run, course: Course, first: Starts, second: Starts) -> Starts
     By the likelihood of normal errors whose variances are those of the runs, and at least those of
     the noise of the sensors.
     """
-    if np.allclose(first, second, rtol=_ALIKE, atol=0.0, equal_nan=True):
+    if np.allclose(first, second, atol=0.0, equal_nan=True):
         return first
     noise = course.record.noise**2
     powers = [np.sum(_errors(run, course, values), axis=0) for values in (first, second)]
