@@ -214,6 +214,22 @@ def _variants(
     ]
 
 
+def begun_search(discovery: Discovery, records: tuple[Record, ...]) -> Search | None:
+    """A search with the declared model refined, on records made as the answer has them.
+
+    Args:
+        discovery: the answer so far.
+        records: to fit, as given.
+
+    Returns:
+        None where the model has no fit, or the held-out records are too short to judge.
+    """
+    declared, judging = discovery.declared, discovery.held_out
+    fitted = with_hold(records, judging[0].hold, judging[0].skew)
+    judge = Judge.of(judging, declared.plant)
+    return judge and Search.begun([declared.plant, declared.nominal], fitted, judge)
+
+
 def unless_refined_is_better(discovery: Discovery, records: tuple[Record, ...]) -> Discovery:
     """The discovery without its effects, where the declared model predicts better when refined.
 
@@ -225,14 +241,11 @@ def unless_refined_is_better(discovery: Discovery, records: tuple[Record, ...]) 
         discovery: the answer so far, which explains the injection.
         records: to fit, as given.
     """
-    declared, judging = discovery.declared, discovery.held_out
-    fitted = with_hold(records, judging[0].hold, judging[0].skew)
-    judge = Judge.of(judging, declared.plant)
-    search = judge and Search.begun([declared.plant, declared.nominal], fitted, judge)
-    if judge is None or search is None:
+    search, declared = begun_search(discovery, records), discovery.declared
+    if search is None:
         return discovery
-    placed = placed_effects(discovery)
-    named = refined(discovery.plant, placed, fitted, judge)
+    judge, placed = replace(search.judge, of_fit=None), placed_effects(discovery)
+    named = refined(discovery.plant, placed, search.records, judge)
     runs = [judge.runs(discovery.plant)] + ([named.runs] if named else [])
     plain, rival = search.base.runs, min(runs, key=mean_error)
     fit = named.refinement if named else discovery.found

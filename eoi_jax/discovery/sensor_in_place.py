@@ -15,7 +15,7 @@ from eoi_jax.data.record import Record
 from eoi_jax.discovery.exchanged_lags import commutes
 from eoi_jax.discovery.free_run_search import FreeRunAnswer
 from eoi_jax.discovery.free_run_trials import Search, refined
-from eoi_jax.discovery.in_free_runs import answered, placed_effects
+from eoi_jax.discovery.in_free_runs import answered, begun_search, placed_effects
 from eoi_jax.discovery.judge import Judge, Judged
 from eoi_jax.discovery.probability import Contest
 from eoi_jax.discovery.result import Discovery
@@ -55,11 +55,8 @@ def with_sensor_in_place(
         held_out: that judge, as given.
         lowpass: F of the fits; None: chosen from the records.
     """
-    declared, judging = discovery.declared, discovery.held_out
-    fitted = with_hold(records, judging[0].hold, judging[0].skew)
-    judge = Judge.of(judging, declared.plant)
-    search = judge and Search.begun([declared.plant, declared.nominal], fitted, judge)
-    if judge is None or search is None:
+    search = begun_search(discovery, records)
+    if search is None:
         return discovery
     placed = placed_effects(discovery)
     named = refined(discovery.plant, placed, search.searched, search.judge)
@@ -71,7 +68,7 @@ def with_sensor_in_place(
     if not _takes_place(search.judge, best, named):
         return discovery
     contest = Contest(search.base, best, (named, *trials))
-    answer = FreeRunAnswer.of(search, best, declared.plant, (contest,))
+    answer = FreeRunAnswer.of(search, best, discovery.declared.plant, (contest,))
     outcome = answered(discovery, answer, [at.effect for at in best.placed], lowpass)
     return outcome if outcome.effects != discovery.effects and outcome.added else discovery
 
