@@ -68,8 +68,8 @@ from .report.robot_export import export_robot as export_robot
 from .simulation.export import export as export
 from .simulation.rollout import rollout as rollout
 from .simulation.simulate import simulate as simulate
-from .simulation.validate import Validation as Validation
 from .simulation.validate import validate as validate
+from .simulation.validation import Validation as Validation
 from .uncertainty.bootstrap import bootstrap as bootstrap
 from .uncertainty.profile_likelihood import Profile as Profile
 from .uncertainty.profile_likelihood import profile as profile

@@ -44,7 +44,8 @@ from eoi_jax.refinement.result import Refinement
 from eoi_jax.report.discovery import answer, discovery_text
 from eoi_jax.report.sweep import sweep_text
 from eoi_jax.report.tables import identification_text, refinement_text
-from eoi_jax.simulation.validate import Validation, validate, validated_alike
+from eoi_jax.simulation.validate import validate, validated_alike
+from eoi_jax.simulation.validation import Validation
 
 _NOT_IN_LOOP = "[controller] is not in the loop: the recorded inputs drive {}"
 _NOT_TESTED = "[test] is not used: `eoi validate` judges a saved model on other records"

@@ -390,6 +390,7 @@ def read_file(path: Path, table: DataTable, name: str, options: dict[str, Any]) 
             sheet=table.sheet,
             empty_repeats=table.empty_repeats,
             missing=table.missing,
+            late=dict(table.late),
             **options,
         )
     except ValueError as error:

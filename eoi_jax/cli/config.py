@@ -369,6 +369,8 @@ class DataTable(msgspec.Struct, frozen=True):
             of a slower sensor whose last value is stored until the next one comes.
         missing: what stands for no value in the cells of inputs and outputs, before scaling:
             ``[-999, "Inp OutRange"]``, or by column ``{ outdoor = -999 }``.
+        late: time by column of outputs that were logged late beside the others [s], as by a second
+            logger: ``{ speed = 0.03 }``; negative: early.
         slice: first and last (excluded) sample used.
         parts: ranges of samples by file, each a record of its own, in place of `slice`: where the
             logger was started again, as ``{ "run.csv" = [[0, 3017], [3017, 6024]] }``.
@@ -391,6 +393,7 @@ class DataTable(msgspec.Struct, frozen=True):
     unwrap: dict[str, Positive] = {}
     empty_repeats: tuple[str, ...] = ()
     missing: MissingCodes | dict[str, MissingCodes] = ()
+    late: dict[str, float] = {}
     slice: tuple[int, int] | None = None
     parts: dict[str, tuple[tuple[int, int], ...]] = {}
     hold: HoldWord | dict[str, InputHold] = "auto"

@@ -102,7 +102,7 @@ def planned_inputs(config: Config, model: Plant, file: Path) -> tuple[Record, di
     if isinstance(table.missing, dict):
         options["missing"] = {key: code for key, code in table.missing.items() if key in columns}
     read = {"inputs": inputs, "outputs": (table.time,), "references": (), "burn_in": 0.0}
-    read |= {"mask_faults": False, "empty_repeats": repeats}
+    read |= {"mask_faults": False, "empty_repeats": repeats, "late": {}}
     table = msgspec.structs.replace(table, **read, **options)
     record = read_file(file, table, "data", {"hold": hold})
     gaps = np.flatnonzero(~record.input_valid)

@@ -40,7 +40,7 @@ from eoi_jax.report.saved_models import labelled
 from eoi_jax.report.sweep import sweep_figure
 from eoi_jax.report.time_series import time_series_figure
 from eoi_jax.simulation.closed_loop import closed_loop
-from eoi_jax.simulation.validate import Validation
+from eoi_jax.simulation.validation import Validation
 
 RESULT = "result.npz"  # the result, for `eoi_jax.load`
 REPORT_DATA = "report.npz"  # further data of the report

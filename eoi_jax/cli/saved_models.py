@@ -30,8 +30,9 @@ from eoi_jax.report.saved_models import (
     models_text,
 )
 from eoi_jax.simulation.simulate import simulate
-from eoi_jax.simulation.validate import FittedModel, Validation, validated_alike
 from eoi_jax.simulation.validate import validate as free_runs
+from eoi_jax.simulation.validate import validated_alike
+from eoi_jax.simulation.validation import FittedModel, Validation
 
 _FOLDERS = "must be two folders of runs or more, before the data files"
 _NO_LOOP = "[controller] is not in the loop: the recorded inputs drive all models"

@@ -19,7 +19,7 @@ from eoi_jax.report.provenance import describe_record, json_values, versions
 from eoi_jax.report.saved_models import LargestCorrelation
 from eoi_jax.report.sweep import gain_names, statuses
 from eoi_jax.report.tables import identification_answer, refinement_answer
-from eoi_jax.simulation.validate import Validation
+from eoi_jax.simulation.validation import Validation
 from eoi_jax.uncertainty.uncertainty import Uncertainty, uncertainty
 
 SUMMARY_FORMAT = 1

@@ -8,7 +8,8 @@ from eoi_jax.discovery.input_noise import error_of_input_noise
 from eoi_jax.discovery.rules import RULES
 from eoi_jax.models.plant import Plant
 from eoi_jax.simulation.sensor_noise import sensor_noise, shows_noise
-from eoi_jax.simulation.validate import FreeRuns, Validation
+from eoi_jax.simulation.validate import FreeRuns
+from eoi_jax.simulation.validation import Validation
 
 _RULES = RULES.answer
 

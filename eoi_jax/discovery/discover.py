@@ -27,6 +27,7 @@ from eoi_jax._checks import check, check_count, real
 from eoi_jax._process import memory_returned, one_thread
 from eoi_jax.data.clipping import clipped_notes
 from eoi_jax.data.deadband import deadband_notes
+from eoi_jax.data.late_outputs import late_output_notes
 from eoi_jax.data.record import Record
 from eoi_jax.data.record_notes import record_notes
 from eoi_jax.data.resampling import Real
@@ -196,15 +197,23 @@ def discover(
     unplaced_notes = chain_notes(discovery)
     if effects is not None:
         unplaced_notes += notes_without_place(tried_effects, fitting, discovery)
-    doubts = *clipped_notes(read), *deadband_notes(read), *unit_notes(plant, read)
-    measured = *noisy_log_notes(discovery), *record_notes((*read, *unseen)), *doubts
-    if discovery.found.status.fits:
-        of_inputs = input_notes(discovery, fit_records)
-        measured = *of_inputs, *reversed_notes(plant, discovery.found), *measured
+    measured = *_notes_on_channels(discovery, fit_records), *record_notes((*read, *unseen))
+    measured += *clipped_notes(read), *deadband_notes(read), *unit_notes(plant, read)
     notes = *fit_notes(plant, discovery.added, discovery.found), *unplaced_notes, *runs, *measured
     discovery = replace(discovery, notes=(*discovery.notes, *notes))
     discovery = discovery if effects is None else with_requested(discovery, tried_effects)
     return with_test_errors(discovery, unseen, fit_records, window) if unseen else discovery
+
+
+def _notes_on_channels(discovery: Discovery, fitted: tuple[Record, ...]) -> tuple[str, ...]:
+    """Sentences on inputs and outputs that free runs, and the estimate, show as logged wrongly."""
+    notes = noisy_log_notes(discovery)
+    if (runs := discovery.after) is not None:
+        notes = *notes, *late_output_notes(runs.records, runs.residual, runs.outputs)
+    if discovery.found.status.fits:
+        of_inputs = input_notes(discovery, fitted)
+        notes = *of_inputs, *reversed_notes(discovery.declared.nominal, discovery.found), *notes
+    return notes
 
 
 @dataclass(frozen=True)

@@ -28,7 +28,7 @@ from eoi_jax.models.effects import (
 )
 from eoi_jax.models.used_inputs import product_inputs
 from eoi_jax.simulation.sensor_noise import sensor_noise
-from eoi_jax.simulation.validate import Validation
+from eoi_jax.simulation.validation import Validation
 
 _RULES = RULES.questions
 

@@ -32,7 +32,7 @@ from eoi_jax.refinement.result import Refinement
 from eoi_jax.refinement.spans import Span, spans_of
 from eoi_jax.simulation.error_growth import returns
 from eoi_jax.simulation.sensor_noise import sensor_noise
-from eoi_jax.simulation.validate import Validation
+from eoi_jax.simulation.validation import Validation
 
 
 def misses(model: Judged) -> list[str]:

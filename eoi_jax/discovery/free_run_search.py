@@ -47,7 +47,7 @@ from eoi_jax.models.effects.effect import AbstractEffect
 from eoi_jax.models.plant import Plant
 from eoi_jax.simulation.error_growth import is_lost
 from eoi_jax.simulation.sensor_noise import is_exact
-from eoi_jax.simulation.validate import Validation
+from eoi_jax.simulation.validation import Validation
 
 _RULES = RULES.free_runs
 

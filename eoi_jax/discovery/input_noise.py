@@ -24,7 +24,8 @@ from numpy.lib.stride_tricks import sliding_window_view
 from eoi_jax.data.record import Record
 from eoi_jax.data.resampling import runs as runs_of
 from eoi_jax.models.plant import Plant
-from eoi_jax.simulation.validate import Validation, judged_runs
+from eoi_jax.simulation.validate import judged_runs
+from eoi_jax.simulation.validation import Validation
 
 
 @dataclass(frozen=True)

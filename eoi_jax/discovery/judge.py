@@ -22,7 +22,8 @@ from eoi_jax.models.plant import Plant
 from eoi_jax.refinement.result import Refinement
 from eoi_jax.simulation.error_growth import window_head
 from eoi_jax.simulation.sensor_noise import sensor_noise, shows_noise
-from eoi_jax.simulation.validate import FreeRuns, Validation, growth_that_rules, judged_runs
+from eoi_jax.simulation.validate import FreeRuns, growth_that_rules, judged_runs
+from eoi_jax.simulation.validation import Validation
 
 _RULES = RULES.judge
 
@@ -515,10 +516,9 @@ def _block_sums(
 ) -> tuple[Float[np.ndarray, "blocks ny"], Float[np.ndarray, "blocks ny"]]:
     """Sums of squared errors, and numbers of samples that count, of the blocks of all records."""
     sums, counts = [], []
-    runs = zip(validation.records, validation.predictions, validation.scored_at, strict=True)
-    for record, prediction, scored in runs:
-        counted = record.output_valid & scored[:, None]
-        square = np.where(counted, (record.outputs - prediction.outputs) ** 2, 0.0)
+    for error in validation.residual:
+        counted = np.isfinite(error)
+        square = np.where(counted, error**2, 0.0)
         parts = (np.array_split(values, _RULES.blocks) for values in (square, counted))
         for errors, counting in zip(*parts, strict=True):
             sums.append(np.sum(errors, axis=0))

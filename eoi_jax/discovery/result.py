@@ -14,7 +14,7 @@ from eoi_jax.models.effects.effect import AbstractEffect, labelled
 from eoi_jax.models.equations.display import equation_latex, equation_text
 from eoi_jax.models.placements import position_text
 from eoi_jax.models.plant import Plant
-from eoi_jax.simulation.validate import Validation
+from eoi_jax.simulation.validation import Validation
 
 
 @dataclass(frozen=True)

@@ -14,7 +14,8 @@ from eoi_jax.estimation.identify import Identification
 from eoi_jax.estimation.preparation import PreparedRecords
 from eoi_jax.models.effects.effect import AbstractEffect
 from eoi_jax.models.plant import Plant
-from eoi_jax.simulation.validate import Validation, growth_that_rules, judged_runs
+from eoi_jax.simulation.validate import growth_that_rules, judged_runs
+from eoi_jax.simulation.validation import Validation
 
 
 @dataclass(frozen=True)

@@ -60,7 +60,7 @@ CLASSES: Mapping[str, str] = {
     "ParameterHistory": "estimation.parameter_history",
     "ParameterDrift": "estimation.parameter_drift",
     "Identification": "estimation.identify",
-    "Validation": "simulation.validate",
+    "Validation": "simulation.validation",
     "Diagnosis": "discovery.diagnosis",
     "Confounded": "discovery.diagnosis",
     "Cross": "discovery.diagnosis",

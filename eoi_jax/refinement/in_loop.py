@@ -17,7 +17,8 @@ from eoi_jax.refinement.fit import log_cost
 from eoi_jax.refinement.result import Refinement
 from eoi_jax.simulation.closed_loop import ClosedLoop, closed_loop
 from eoi_jax.simulation.error_growth import is_lost
-from eoi_jax.simulation.validate import Validation, judged_runs
+from eoi_jax.simulation.validate import judged_runs
+from eoi_jax.simulation.validation import Validation
 
 # `refine` with its settings, of a plant along records; held-out ones are `validation`.
 Refine = Callable[..., Refinement]

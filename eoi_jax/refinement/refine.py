@@ -20,7 +20,7 @@ from jaxtyping import Float
 
 from eoi_jax._checks import check, check_count, check_positive
 from eoi_jax._process import one_thread
-from eoi_jax._status import Status
+from eoi_jax._status import FitNote, Status
 from eoi_jax.data.holds import (
     made_alike,
     skew_text,
@@ -28,6 +28,7 @@ from eoi_jax.data.holds import (
     with_hold,
 )
 from eoi_jax.data.input_holds import hold_text
+from eoi_jax.data.late_outputs import late_output_notes
 from eoi_jax.data.record import Record
 from eoi_jax.estimation.identify import Identification, identify
 from eoi_jax.estimation.kept_signs import without_runaways
@@ -76,7 +77,8 @@ from eoi_jax.refinement.start_check import with_free_starts, with_start_check
 from eoi_jax.refinement.windowed import lost_growth, settled, worse
 from eoi_jax.simulation.error_growth import ErrorGrowth
 from eoi_jax.simulation.step_size import RULES, choose_steps, finest_steps
-from eoi_jax.simulation.validate import Validation, validated_alike
+from eoi_jax.simulation.validate import validated_alike
+from eoi_jax.simulation.validation import Validation
 
 
 @dataclass(frozen=True)
@@ -305,6 +307,8 @@ def _answered(
     as_they_are = partial(_refined, question=replace(single, is_trial=True))
     result = with_start_check(without_runaways(nominal, result, refit, cost), as_they_are)
     result = with_free_starts(with_record_check(result, as_they_are))
+    lateness = late_output_notes(result.records, result.residual, result.plant.outputs)
+    result = replace(result, notes=(*result.notes, *map(FitNote, lateness)))
     if not result.status.ok or not held_out:
         return result
     held_out = made_alike(held_out, records, result.records)

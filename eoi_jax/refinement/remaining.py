@@ -27,7 +27,8 @@ from eoi_jax.refinement.refine import refine
 from eoi_jax.refinement.result import Refinement
 from eoi_jax.refinement.score_test import Candidate, LinearisedRuns, Try, is_tested
 from eoi_jax.refinement.spans import spans_of
-from eoi_jax.simulation.validate import Validation, judged_runs
+from eoi_jax.simulation.validate import judged_runs
+from eoi_jax.simulation.validation import Validation
 
 _DIGITS = 7  # of a share; what follows is rounding of least squares
 

@@ -25,7 +25,8 @@ from eoi_jax.simulation.error_growth import (
     restarted,
     window_head,
 )
-from eoi_jax.simulation.validate import Validation, judged_runs
+from eoi_jax.simulation.validate import judged_runs
+from eoi_jax.simulation.validation import Validation
 
 # A refinement of the records of a result from a plant, in runs of a length [s], infinite for whole
 # records.

@@ -28,7 +28,7 @@ from eoi_jax.report.tables import (
 )
 from eoi_jax.report.time_series import TimeSeries, time_series_figure
 from eoi_jax.simulation.sensor_noise import sensor_noise
-from eoi_jax.simulation.validate import Validation
+from eoi_jax.simulation.validation import Validation
 from eoi_jax.uncertainty.uncertainty import Uncertainty, uncertainty
 
 _MAX_OUTPUTS = 3  # outputs with maps and tiles of their own

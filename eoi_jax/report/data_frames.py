@@ -25,7 +25,7 @@ from eoi_jax.report.parameters import (
     parameter_estimates,
     without_covariance,
 )
-from eoi_jax.simulation.validate import Validation
+from eoi_jax.simulation.validation import Validation
 from eoi_jax.uncertainty.profile_likelihood import Profile
 from eoi_jax.uncertainty.uncertainty import Uncertainty
 

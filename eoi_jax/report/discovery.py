@@ -24,7 +24,7 @@ from eoi_jax.models.equations.display import equation_text
 from eoi_jax.models.input_strength import InputStrength, strengths_of
 from eoi_jax.report.diagnosis import saturation
 from eoi_jax.report.tables import columns, error_text, parameter_table, quantity, with_error
-from eoi_jax.simulation.validate import Validation
+from eoi_jax.simulation.validation import Validation
 from eoi_jax.uncertainty.uncertainty import uncertainty
 
 _STOPS = "a spring that acts beyond a gap only, as stops at both ends do"

@@ -36,7 +36,7 @@ from eoi_jax.report.tables import (
     uncertainty_text,
     validation_text,
 )
-from eoi_jax.simulation.validate import Validation
+from eoi_jax.simulation.validation import Validation
 from eoi_jax.uncertainty.profile_likelihood import Profile
 from eoi_jax.uncertainty.uncertainty import Uncertainty
 

@@ -32,7 +32,7 @@ from eoi_jax.report.time_series import (
     draw_panels,
     time_series_figure,
 )
-from eoi_jax.simulation.validate import Validation
+from eoi_jax.simulation.validation import Validation
 
 
 @dataclass(frozen=True)

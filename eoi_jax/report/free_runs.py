@@ -11,7 +11,7 @@ from eoi_jax.data.cleaning import is_slow
 from eoi_jax.data.record import Record
 from eoi_jax.report.style import ACCENT, BASE, with_unit
 from eoi_jax.report.time_series import Panel, Signal, TimeSeries
-from eoi_jax.simulation.validate import Validation
+from eoi_jax.simulation.validation import Validation
 
 
 class Run(NamedTuple):

@@ -9,7 +9,7 @@ from eoi_jax._checks import counted
 from eoi_jax.report.style import shortened
 from eoi_jax.report.tables import columns, validation_text
 from eoi_jax.simulation.residual_correlation import error_correlation
-from eoi_jax.simulation.validate import Validation
+from eoi_jax.simulation.validation import Validation
 
 
 class LargestCorrelation(NamedTuple):

@@ -11,7 +11,7 @@ from eoi_jax.estimation.degrees_of_freedom import freedom_notes
 from eoi_jax.estimation.identify import Identification
 from eoi_jax.models.algebraic_outputs import highest_derivative
 from eoi_jax.refinement.result import Refinement
-from eoi_jax.simulation.validate import Validation
+from eoi_jax.simulation.validation import Validation
 from eoi_jax.uncertainty.profile_likelihood import Profile
 from eoi_jax.uncertainty.uncertainty import Uncertainty, uncertainty
 

@@ -17,7 +17,7 @@ from eoi_jax.data.noise import white_noise
 from eoi_jax.data.record import Record
 from eoi_jax.data.resampling import own_segments
 from eoi_jax.simulation.step_size import RULES
-from eoi_jax.simulation.validate import Validation
+from eoi_jax.simulation.validation import Validation
 
 
 @dataclass(frozen=True)

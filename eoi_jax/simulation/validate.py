@@ -6,17 +6,14 @@ lags were before the record) is part of no model: it is estimated from the first
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from functools import partial
-from typing import Protocol, runtime_checkable
 
 import numpy as np
 from jaxtyping import Bool, Float
 
 from eoi_jax._checks import check, check_count, check_positive, counted, timed
-from eoi_jax._display import Result
 from eoi_jax._process import one_thread
-from eoi_jax._types import WHERE_SET
 from eoi_jax.data.cleaning import channel_groups
 from eoi_jax.data.holds import (
     chosen_hold,
@@ -26,6 +23,7 @@ from eoi_jax.data.holds import (
     with_hold,
 )
 from eoi_jax.data.input_holds import Hold
+from eoi_jax.data.late_outputs import late_output_notes
 from eoi_jax.data.masks import hold_advice, scored_samples, transient_samples
 from eoi_jax.data.record import Record
 from eoi_jax.data.windows import (
@@ -61,62 +59,10 @@ from eoi_jax.simulation.step_size import (
     finest_steps,
     settled_steps,
 )
+from eoi_jax.simulation.validation import FittedModel, Validation
 
 PerOutput = Float[np.ndarray, " ny"]
 Samples = Float[np.ndarray, "time ny"]
-
-
-@dataclass(frozen=True, eq=False, repr=False)
-class Validation(Result):
-    """Free-run errors, each of shape (ny,), over the scored samples of all records.
-
-    `plot` shows free run against the measurement, and its error.
-
-    Attributes:
-        rmse: root mean square of y − ŷ [unit of y]; infinite if a run diverges.
-        nrmse: `rmse` over the standard deviation of y.
-        fit: 100 (1 − ‖y − ŷ‖ / ‖y − mean y‖) [%].
-        predictions: ŷ, one record for each one given.
-        scored: number of samples at which an output is scored.
-        outputs: names.
-        units: of the outputs, "" where unknown.
-        notes: sentences on what limits the numbers.
-        records: that it was judged on.
-        window: length of the runs [s]; None for whole records.
-        in_loop: whether a controller drove the runs by what they simulate.
-        scored_at: which samples of each record are scored, where an output was measured; empty in
-            a result of an earlier version.
-        substeps: steps of the simulation per sample; 0 in a result of an earlier version.
-    """
-
-    rmse: PerOutput
-    nrmse: PerOutput
-    fit: PerOutput
-    predictions: tuple[Record, ...]
-    scored: int
-    outputs: tuple[str, ...]
-    units: tuple[str, ...]
-    notes: tuple[str, ...]
-    records: tuple[Record, ...] = ()
-    window: float | None = None
-    in_loop: bool = field(default=False, metadata=WHERE_SET)
-    scored_at: tuple[Bool[np.ndarray, " time"], ...] = field(default=(), metadata=WHERE_SET)
-    substeps: int = field(default=0, metadata=WHERE_SET)
-
-
-@runtime_checkable
-class FittedModel(Protocol):
-    """A result with a model in it: of `identify`, `refine` or `discover`."""
-
-    @property
-    def plant(self) -> Plant:
-        """The model with the estimate."""
-        ...
-
-    @property
-    def records(self) -> tuple[Record, ...]:
-        """Records of the fit, as it used them."""
-        ...
 
 
 @one_thread()
@@ -188,17 +134,24 @@ def validate(
         )
     if window is not None:
         length = None if window == np.inf else window
-        return judged_runs(plant, records, initial_samples, length, substeps)
+        return _with_late_outputs(judged_runs(plant, records, initial_samples, length, substeps))
     full_runs = judged_runs(plant, records, initial_samples, None, substeps)
     growth = growth_that_rules(plant, full_runs, initial_samples)
     if growth is None:
-        return full_runs
+        return _with_late_outputs(full_runs)
     if initial_samples is None:
         initial_samples = window_head(growth.window, plant, full_runs.records)
     runs = judged_runs(plant, records, initial_samples, growth.window, substeps)
     starts = sum(-(-(len(record) - 1) // round(growth.window / record.sample_period))
                  for record in runs.records)  # fmt: skip
-    return replace(runs, notes=(*runs.notes, restarted(starts, growth, "Judged")))
+    runs = replace(runs, notes=(*runs.notes, restarted(starts, growth, "Judged")))
+    return _with_late_outputs(runs)
+
+
+def _with_late_outputs(runs: Validation) -> Validation:
+    """The runs, with a note on outputs that seem to be logged late beside the others."""
+    lateness = late_output_notes(runs.records, runs.residual, runs.outputs)
+    return replace(runs, notes=(*runs.notes, *lateness))
 
 
 def growth_that_rules(

@@ -18,7 +18,7 @@ from eoi_jax.models.augmented import place
 from eoi_jax.models.effects.products import InputProduct
 from eoi_jax.models.effects.signals import Signal
 from eoi_jax.refinement.refine import refine_once
-from eoi_jax.simulation.validate import Validation
+from eoi_jax.simulation.validation import Validation
 
 COUNT = 200
 

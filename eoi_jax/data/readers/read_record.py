@@ -18,6 +18,7 @@ import numpy as np
 from eoi_jax._checks import check, check_choice, check_kind, check_positive, counted, printable
 from eoi_jax.data.column_names import in_other_units
 from eoi_jax.data.input_holds import HoldArgument, hold_text, read_hold
+from eoi_jax.data.late_outputs import without_lateness
 from eoi_jax.data.readers.archive import read_arrays
 from eoi_jax.data.readers.conversions import Scale, compared_columns, scaled_columns
 from eoi_jax.data.readers.delimited import line_of, read_text
@@ -63,6 +64,7 @@ def read_record(
     sheet: str | None = None,
     empty_repeats: str | int | Sequence[str | int] = (),
     missing: Codes | Mapping[str, Codes] | Mapping[int, Codes] = (),
+    late: Mapping[str, Real] | Mapping[int, Real] | None = None,
 ) -> Record:
     """A record from named columns of a file.
 
@@ -109,6 +111,9 @@ def read_record(
         missing: what stands for no value in the cells of inputs and outputs, before `scale`:
             ``[-999, "Inp OutRange"]`` in all of them, or by column ``{"outdoor": -999}``. The case
             of letters does not matter.
+        late: ``{output: time}`` by which a column was logged late beside the others [s], as by a
+            second logger or a clock of its own; negative: early. It is moved by that, and what
+            comes from beyond the ends of the record is missing.
 
     Returns:
         The record, with `notes` on the changes made to the data.
@@ -116,10 +121,11 @@ def read_record(
     Raises:
         ValueError: a file that is missing, of an unknown kind or of another kind than its name
             says; a column that is unknown, not numeric or of a different length; no stamps and no
-            sample period; a `scale`, `units`, `unwrap`, `renames`, `empty_repeats` or `missing` for
-            a column that is not read; a code of `missing` that is no finite number and no word; a
-            period that is not positive or is smaller than the range of its column; a file that
-            unpacks to more than `max_gigabytes`; and the errors of `Record`.
+            sample period; a `scale`, `units`, `unwrap`, `renames`, `empty_repeats`, `missing` or
+            `late` for a column that is not read; a code of `missing` that is no finite number and
+            no word; a period that is not positive or is smaller than the range of its column; a
+            time of `late` as long as the record; a file that unpacks to more than `max_gigabytes`;
+            and the errors of `Record`.
     """
     path = Path(path)
     table = read_table(path, max_gigabytes, sheet)
@@ -129,14 +135,12 @@ def read_record(
         time, inputs, outputs = table.time, table.inputs, table.outputs
         scale, units = _declared(table) if (scale, units) == (None, None) else (scale, units)
     hold, hold_notes = _declared_hold(table, hold) if is_declared else (hold, [])
-    _check_clock(time, sample_period)
-    clock = None if time is None else _column_name("time", time)
+    clock = _clock(time, sample_period)
     u_columns, y_columns = _column_names("inputs", inputs), _column_names("outputs", outputs)
     selected, hints = _pick(path, table, clock, u_columns, y_columns, missing)
     scales = _options_by_column("scale", scale, selected)
     selected, factors = scaled_columns(selected, scales)
-    count = len(selected[y_columns[0]])
-    rows = _rows(slice, count)
+    rows = _rows(slice, count := len(selected[y_columns[0]]))
     if clock is not None:
         _check_stamps(path, table, clock, selected[clock], rows)
     new_names = _options_by_column("renames", renames, selected)
@@ -157,10 +161,23 @@ def read_record(
         units={"time" if key == clock else labels[key]: unit for key, unit in unit_names.items()},
         hold=hold, burn_in=burn_in, mask_faults=mask_faults,
     )  # fmt: skip
+    record = _moved(record, late, {key: labels[key] for key in y_columns})
     keys = compared_columns((*u_columns, *y_columns), scales, unit_names, table.units)
-    compared = {key: labels[key] for key in keys}
-    record = _with_file_units(record, " ".join([*hints, *hold_notes, *notes]), compared, table)
+    hints += [*hold_notes, *notes]
+    record = _with_file_units(record, " ".join(hints), {key: labels[key] for key in keys}, table)
     return _with_unit_of_time(record, clock, table, factors.get(clock or "", 1.0))
+
+
+def _moved(record: Record, late: Mapping[Any, Any] | None, labels: Mapping[str, str]) -> Record:
+    """The record with columns moved by which they were logged late.
+
+    Args:
+        record: of the file.
+        late: time by column [s].
+        labels: names of the outputs, by column.
+    """
+    times = _options_by_column("late", late, labels)
+    return without_lateness(record, {labels[key]: time for key, time in times.items()})
 
 
 # -- choosing columns ---------------------------------------------------------------------
@@ -223,7 +240,7 @@ def _with_unit_of_time(record: Record, clock: str | None, table: Table, factor: 
 
 
 def _options_by_column(
-    field: str, option: Mapping[Any, Any] | None, picked: Columns
+    field: str, option: Mapping[Any, Any] | None, picked: Mapping[str, Any]
 ) -> dict[str, Any]:
     """The values of an option by column; each column must be among those that are read."""
     values = {_column_name(field, key): value for key, value in (option or {}).items()}
@@ -385,7 +402,8 @@ def _check_stamps(path: Path, table: Table, clock: str, stamps: np.ndarray, rows
     check(not mixed, f"time[{clock}]", rule, "stamps of several tags", mixed)
 
 
-def _check_clock(time: str | int | None, sample_period: Real | None) -> None:
+def _clock(time: str | int | None, sample_period: Real | None) -> str | None:
+    """Name of the column of the stamps; None where a sample period is given instead."""
     check(
         (time is None) != (sample_period is None),
         "time, sample_period",
@@ -395,6 +413,7 @@ def _check_clock(time: str | int | None, sample_period: Real | None) -> None:
     )
     if sample_period is not None:
         check_positive("sample_period", sample_period)
+    return None if time is None else _column_name("time", time)
 
 
 def _check_seconds(clock: str, table: Table, stamps: np.ndarray) -> None:
