@@ -22,6 +22,7 @@ from scipy.signal import savgol_filter
 import eoi_jax as eoi
 from benchmarks.measured.campaign_cases import Rig
 from benchmarks.measured.found_actuated_cases import ACTUATED
+from benchmarks.measured.found_assorted_cases import ASSORTED
 from benchmarks.measured.found_blind_cases import BLIND
 from benchmarks.measured.found_cooling_cases import COOLERS
 from benchmarks.measured.found_driven_cases import DRIVEN
@@ -437,4 +438,5 @@ FOUND: Mapping[str, FoundSet] = {
     **JOINTS,
     **FAR,
     **WIDE,
+    **ASSORTED,
 }

@@ -26,7 +26,8 @@ from benchmarks.measured import measured_rigs as rigs
 from benchmarks.measured import wiener_hammerstein
 from eoi_jax.cli import build
 from eoi_jax.cli import config as configs
-from eoi_jax.simulation.validate import Validation, validate
+from eoi_jax.simulation.validate import validate
+from eoi_jax.simulation.validation import Validation
 
 FOLDER = ROOT / "configs"
 DEGREES = np.pi / 180.0

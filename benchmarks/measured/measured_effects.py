@@ -26,7 +26,8 @@ from jaxtyping import Float
 import eoi_jax as eoi
 from benchmarks.common import ROOT, Report, arguments, data_directory, percent, table
 from benchmarks.measured.measured_cases import CASES, Case
-from eoi_jax.simulation.validate import Validation, validate
+from eoi_jax.simulation.validate import validate
+from eoi_jax.simulation.validation import Validation
 
 _QUICK = 6000  # samples of each record in a quick run
 
