@@ -133,16 +133,16 @@ def predict(
     """
     folder, result, settings = _opened(run, output, "predict", trust, progress)
     plant = _plant(result)
-    given = _given_starts(initial, plant)
+    stated = _given_starts(initial, plant)
     with run_folder.quiet_records():
         record, measured = planned_inputs(settings, plant, file)
         check_inputs(plant, record)
         fitted = getattr(result, "records", ())
         (record,) = made_alike((record,), fitted, fitted)
-        start, sources = _starts(plant, given, measured)
+        start, sources = _starts(plant, stated, measured)
         _report_stage(progress, "simulation")
         names = {"hold": record.hold, "name": record.name}
-        first = {name: values[0] for name, values in given.items()}
+        first = {name: values[0] for name, values in stated.items()}
         internal = internal_starts(plant, first, "--initial", _FREE_START)
         prediction = simulate(plant, record.time, record.inputs, start, internal=internal, **names)
     notes = _prediction_notes(plant, record, start)
@@ -186,15 +186,15 @@ def _given_starts(words: Sequence[str], plant: Plant) -> dict[str, tuple[float, 
 
 
 def _starts(
-    plant: Plant, given: Mapping[str, tuple[float, ...]], measured: Mapping[str, float]
+    plant: Plant, stated: Mapping[str, tuple[float, ...]], measured: Mapping[str, float]
 ) -> tuple[dict[str, tuple[float | None, ...]], str]:
     """Outputs at the start: as given, else measured, else declared; and a text on all of them."""
     starts: dict[str, tuple[float | None, ...]] = {}
     texts, missing = [], []
     for name, degree in zip(plant.outputs, plant.degrees, strict=True):
         declared = plant.initial.get(name, (None,))
-        if name in given:
-            starts[name], source = given[name], "--initial"
+        if name in stated:
+            starts[name], source = stated[name], "--initial"
         elif not degree:  # a function of the states
             continue
         elif name in measured:

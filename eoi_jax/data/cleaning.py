@@ -3,8 +3,9 @@
 Every function that changes data appends a sentence to its argument `notes`.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from datetime import UTC, datetime
+from functools import partial
 from typing import Any, TypeAlias
 
 import numpy as np
@@ -14,7 +15,7 @@ from eoi_jax._checks import check, check_choice, check_kind, counted, is_or_are,
 from eoi_jax._types import Inputs, Mask, OutputMask, Outputs, Signals, TimeAxis
 from eoi_jax.compiler.jax_private import Tracer
 from eoi_jax.data.glitches import without_faults
-from eoi_jax.data.input_holds import SELDOM, Hold, hold_of_each, hold_text
+from eoi_jax.data.input_holds import SELDOM, Hold, hold_of_each
 from eoi_jax.data.missing_codes import input_code_notes, without_output_codes
 from eoi_jax.data.noise import white_noise
 from eoi_jax.data.resampling import (
@@ -45,9 +46,10 @@ _NO_OUTPUT = (
 )
 
 Names: TypeAlias = Sequence[str] | None
-# Inputs, outputs, where all inputs are known, and where each output was measured.
+InputsOf: TypeAlias = Callable[[Hold], Float[np.ndarray, "points nu"]]
+# Inputs with a hold, outputs, where all inputs are known, and where each output was measured.
 OnGrid: TypeAlias = tuple[
-    Float[np.ndarray, "points nu"],
+    InputsOf,
     Float[np.ndarray, "points ny"],
     Bool[np.ndarray, " points"],
     Bool[np.ndarray, "points ny"],
@@ -314,7 +316,6 @@ def place(
     y: Outputs,
     good: tuple[Mask, OutputMask],
     notes: list[str],
-    hold: Hold = "zero",
     reach: float = 0.0,
 ) -> OnGrid:
     """Samples that lie on the grid are copied; missing ones are filled in and masked.
@@ -324,7 +325,7 @@ def place(
     """
     count = grid.time.size
     if grid.scattered:
-        return _scattered(grid, index, u, y, good, notes, hold)
+        return _scattered(grid, index, u, y, good, notes)
     inputs_known, measured = np.zeros(count, dtype=bool), np.zeros((count, y.shape[1]), dtype=bool)
     inputs_known[index], measured[index] = good
     if count > index.size:
@@ -334,15 +335,25 @@ def place(
             f"{grid.sample_period:g} s: masked."
         )
     if inputs_known.all() and measured.all():
-        return u, y, inputs_known, measured
+        return _without_hold(u), y, inputs_known, measured
     query = np.arange(count, dtype=float)
     position = index.astype(float)
     outputs = fill(position, y, query)
     if not reach:
-        return fill(position, u, query), outputs, inputs_known, measured
+        return _without_hold(fill(position, u, query)), outputs, inputs_known, measured
     segments = runs(good[0], grid.sample_period * np.diff(index) <= reach)
-    inputs = inputs_on_grid(position, u, segments, query, hold)
-    return inputs, outputs, covered(position, segments, query), measured
+    inputs_of = partial(inputs_on_grid, position, u, segments, query)
+    return inputs_of, outputs, covered(position, segments, query), measured
+
+
+def _without_hold(inputs: Inputs) -> InputsOf:
+    """Inputs that lie on the grid: their hold moves none of them."""
+
+    def inputs_of(hold: Hold) -> Inputs:
+        del hold
+        return inputs
+
+    return inputs_of
 
 
 def _scattered(
@@ -352,7 +363,6 @@ def _scattered(
     y: Outputs,
     good: tuple[Mask, OutputMask],
     notes: list[str],
-    hold: Hold,
 ) -> OnGrid:
     """Outputs where they were measured, inputs between their samples by their hold.
 
@@ -377,8 +387,8 @@ def _scattered(
     )
     if np.any(gaps):
         notes.append(_UNKNOWN.format(f"{spacing[gaps].sum():g} s", counted(int(gaps.sum()), "gap")))
-    inputs = inputs_on_grid(position, u, segments, query, hold)
-    return inputs, fill(position, y, query), covered(position, segments, query), measured
+    inputs_of = partial(inputs_on_grid, position, u, segments, query)
+    return inputs_of, fill(position, y, query), covered(position, segments, query), measured
 
 
 def interpolate(
@@ -387,9 +397,7 @@ def interpolate(
     u: Inputs,
     y: Outputs,
     good: tuple[Mask, OutputMask],
-    hold: Hold,
     notes: list[str],
-    names: tuple[str, ...],
     reach: float = 0.0,
 ) -> OnGrid:
     """Samples that lie between grid points are interpolated, segment by segment.
@@ -425,15 +433,13 @@ def interpolate(
     valid = np.all([inputs_known, *dense], axis=0)
     points = timed((~valid).sum(), h, "grid point")
     masked = "" if valid.all() else f"; {counted(gaps, 'gap')}, {points} masked"
-    held = "their means over each step (held)"
-    by = held if hold == "zero" else f"their hold ({hold_text(hold, names)})"
     notes.append(
         f"Stamps are {spacing.min():.4g} to {spacing.max():.4g} s apart: resampled from "
         f"{stamps.size} samples to {query.size} at {h:g} s, outputs by a cubic spline, inputs by "
-        f"{by}{masked}. {lost_between(grid, stamps)}".rstrip()
+        f"their hold{masked}. {lost_between(grid, stamps)}".rstrip()
     )
-    inputs = inputs_on_grid(position, u, segments, query, hold, averaged=True)
-    return inputs, outputs, inputs_known, measured
+    inputs_of = partial(inputs_on_grid, position, u, segments, query, averaged=True)
+    return inputs_of, outputs, inputs_known, measured
 
 
 def between_own_samples(outputs: Outputs, measured: OutputMask) -> tuple[Outputs, OutputMask]:

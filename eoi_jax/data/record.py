@@ -40,9 +40,11 @@ from eoi_jax.data.digest import digest
 from eoi_jax.data.equal_stamps import distinct_stamps
 from eoi_jax.data.input_holds import (
     HOLD_TAKEN,
+    HOLDS,
     NO_LONGER_HELD,
     Hold,
     HoldArgument,
+    by_hold,
     declared_or_suggested,
     hold_of_each,
     hold_text,
@@ -56,16 +58,14 @@ from eoi_jax.data.resampling import (
     Real,
     acting_inputs,
     covered,
-    fill,
     lost_between,
-    low_pass,
     low_pass_noise,
     own_period,
     runs,
-    staircase_to_smooth,
     sub_stepped,
     uniform_grid,
 )
+from eoi_jax.data.smoothing import smoothed_inputs, smoothed_outputs, smoothing_note
 from eoi_jax.data.sparse_inputs import between_entries
 from eoi_jax.data.unwrapping import checked_periods, unwrapped_channels
 from eoi_jax.data.wrapping import wrap_notes
@@ -160,6 +160,8 @@ class Record(Result):
     _continues: bool | None = field(default=None, metadata=WHERE_SET)
     _logged_hold: Hold | None = field(default=None, metadata=WHERE_SET)  # None: `hold`
     file_units: dict[str, str] | None = field(default=None, metadata=WHERE_SET)
+    # Inputs on the grid by each hold of `HOLDS`; None: declared, or the samples are on the grid.
+    _by_hold: Float[np.ndarray, "holds time nu"] | None = field(default=None, metadata=WHERE_SET)
 
     @np.errstate(over="ignore", invalid="ignore")  # of samples that are masked
     def __init__(
@@ -193,13 +195,14 @@ class Record(Result):
         grid = uniform_grid(stamps)
         noise = quantum = None
         if grid.index is None:
-            arrays = interpolate(grid, stamps, u, y, good, input_hold, notes, u_names, reach)
+            arrays = interpolate(grid, stamps, u, y, good, notes, reach)
             quantum = quanta(y, good[1])  # interpolation hides the steps and the noise
             notes += wrap_notes(y_names, y, good[1])  # of jumps that an interpolation divides
             noise = interpolated_noise(grid, stamps, y, arrays[1], good[1], arrays[3], quantum)
         else:
-            arrays = place(grid, grid.index, u, y, good, notes, input_hold, reach)
-        inputs, outputs, u_valid, measured = arrays
+            arrays = place(grid, grid.index, u, y, good, notes, reach)
+        inputs_of, outputs, u_valid, measured = arrays
+        inputs = inputs_of(input_hold)
         count = int(np.min(measured.sum(axis=0)))
         rule, advice = f"must have at least {SHORTEST} valid samples", lost_between(grid, stamps)
         check(count >= SHORTEST, "outputs", rule, count, advice)
@@ -216,6 +219,8 @@ class Record(Result):
             "notes": (*notes, *hold_notes, *grid.notes, *repeat_notes(y_names, y, good[1])),
         }  # fmt: skip
         self._assign(labels)
+        tried = np.stack([inputs_of(word) for word in HOLDS]) if hold == "auto" else inputs[None]
+        self._assign({"_by_hold": tried if np.any(tried != tried[0]) else None})
 
     @classmethod
     def from_period(
@@ -274,7 +279,9 @@ class Record(Result):
         masks = self.valid[part], self.input_valid[part], self.output_valid[part]
         signals = self.inputs[part], self.outputs[part]
         new._set(*signals, masks, self.time[part], self.sample_period)
-        return new._assign({"burn_in": max(self.burn_in - start * self.sample_period, 0.0)})
+        gridded = None if self._by_hold is None else self._by_hold[:, part]
+        burn_in = max(self.burn_in - start * self.sample_period, 0.0)
+        return new._assign({"burn_in": burn_in, "_by_hold": gridded})
 
     def split(self, fraction: Real) -> tuple["Record", "Record"]:
         """The first `fraction` of the samples, and the remaining ones.
@@ -325,6 +332,9 @@ class Record(Result):
         middle = self._middle if hold == self.hold else None
         notes = tuple(note for note in self.notes if not note.startswith(HOLD_TAKEN))
         made = {"_middle": middle, "_logged_hold": None, "notes": notes}
+        if self._by_hold is not None and hold != self.hold:
+            gridded: dict[str, Inputs] = dict(zip(HOLDS, self._by_hold, strict=True))
+            made["inputs"] = by_hold(hold, self.inputs, lambda word, j: gridded[word][:, j])
         return new._assign({"hold": hold, "hold_declared": True, **made})
 
     def with_delayed_inputs(self, delays: Any) -> "Record":
@@ -385,7 +395,9 @@ class Record(Result):
         labels = tuple(np.asarray(self.input_names)[chosen].tolist())
         words = np.asarray(hold_of_each(self.hold, len(self.input_names)))[chosen].tolist()
         hold = shared(words) if words else None
-        return self.with_inputs(self.inputs[:, chosen], labels, self.skew[chosen], hold)
+        new = self.with_inputs(self.inputs[:, chosen], labels, self.skew[chosen], hold)
+        gridded = None if self._by_hold is None else self._by_hold[:, :, chosen]
+        return new._assign({"_by_hold": gridded})
 
     def with_inputs(
         self, inputs: Inputs, names: tuple[str, ...], skew: Any = None, hold: Hold | None = None
@@ -531,25 +543,14 @@ class Record(Result):
         for name in () if inputs is None else inputs:
             check_choice("inputs", name, self.input_names)
         filtered = [inputs is None or name in inputs for name in self.input_names]
-        smooth_inputs, outputs = np.array(self.inputs), np.array(self.outputs)
-        share = float(cutoff) / nyquist
-        for start, stop in self.input_segments():
-            for j in np.flatnonzero(filtered):
-                levels = low_pass(smooth_inputs[start:stop, [j]], share)
-                is_held = self.holds[j] == "zero"
-                smooth_inputs[start:stop, [j]] = staircase_to_smooth(levels) if is_held else levels
-        for columns, mask in channel_groups(self.output_valid):
-            for start, stop in runs(mask):
-                outputs[start:stop, columns] = low_pass(outputs[start:stop, columns], share)
-        position = np.arange(len(self), dtype=float)
-        u_valid, measured = self.input_valid[:, None], self.output_valid
-        smooth_inputs = fill(position, np.where(u_valid, smooth_inputs, np.nan), position)
-        outputs = fill(position, np.where(measured, outputs, np.nan), position)
-        which = "Inputs and outputs" if all(filtered) else ", ".join(["Outputs", *(inputs or ())])
+        share, measured = float(cutoff) / nyquist, self.output_valid
+        is_held = np.array(self.holds) == "zero"
+        smooth_inputs = smoothed_inputs(self.inputs, self.input_valid, filtered, is_held, share)
+        outputs = smoothed_outputs(self.outputs, measured, share)
         holds = [
             "smooth" if smooth else hold for smooth, hold in zip(filtered, self.holds, strict=True)
         ]
-        note = f"{which} smoothed by the same zero-phase low-pass, {float(cutoff):g} rad/s"
+        note = smoothing_note(None if all(filtered) else inputs, float(cutoff))
         note += NO_LONGER_HELD * (holds.count("zero") < self.holds.count("zero"))
         new = self._changed(f"{note}.")
         masks = self.valid, self.input_valid, measured
@@ -562,9 +563,7 @@ class Record(Result):
 
     def midpoint_inputs(self) -> Float[np.ndarray, "steps nu"]:
         """The inputs in the middle of each of the N − 1 steps, by their hold."""
-        if self._middle is not None:
-            return self._middle
-        return self._between(1)[1]
+        return self._between(1)[1] if self._middle is None else self._middle
 
     # -- properties -----------------------------------------------------------------------
 
@@ -709,6 +708,7 @@ class Record(Result):
             "outputs": outputs,
             "valid": valid,
             "time": time,
+            "_by_hold": self._by_hold if inputs is self.__dict__.get("inputs") else None,
             "_input_valid": u_valid if inputs.shape[1] and np.any(u_valid != valid) else None,
             "_output_valid": None if shared else measured,
         }

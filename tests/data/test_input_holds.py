@@ -90,7 +90,7 @@ def test_a_simulation_of_a_linear_plant_is_the_sum_of_those_of_each_input(solver
 
 def test_stamps_between_the_samples_of_a_clock_are_resampled_by_each_hold():
     time = TIME + RNG.uniform(-0.02, 0.02, N)
-    with pytest.warns(eoi.RecordWarning, match="zero for valve, linear for flow, smooth for sun"):
+    with pytest.warns(eoi.RecordWarning, match="inputs by their hold"):
         record = eoi.Record(time, U, Y, input_names=NAMES, hold=MIXED)
     with pytest.warns(eoi.RecordWarning):
         single = [eoi.Record(time, U[:, j], Y, hold=HOLDS[j]) for j in range(3)]

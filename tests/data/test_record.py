@@ -275,7 +275,7 @@ def test_a_held_input_enters_a_jittered_record_by_its_mean_over_each_step():
     rng = np.random.default_rng(0)
     t = 0.01 * np.arange(500) + rng.uniform(-2e-3, 2e-3, 500)
     u = np.repeat([0.0, 1.0, -2.0, 5.0, 1.0], 100)
-    with pytest.warns(RecordWarning, match="inputs by their means over each step"):
+    with pytest.warns(RecordWarning, match="inputs by their hold"):
         record = Record(t, u, np.sin(t))
     assert record.hold == "zero"
     between = ~np.isin(record.inputs, [0.0, 1.0, -2.0, 5.0])
