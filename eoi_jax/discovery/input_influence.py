@@ -14,7 +14,7 @@ from eoi_jax.discovery.rules import RULES
 from eoi_jax.models.plant import Plant
 from eoi_jax.models.used_inputs import used_inputs
 from eoi_jax.refinement.refine import refine_once
-from eoi_jax.simulation.validate import judged_runs
+from eoi_jax.simulation.validate import runs_in
 
 _RULES = RULES.questions
 
@@ -61,7 +61,7 @@ def _reversed_notes(discovery: Discovery, records: Sequence[Record], j: int) -> 
     fit = refine_once(nominal, fitted, runs.window)
     if not fit.status.fits or _on_bound(fit.plant):
         return []
-    ratio = error_ratio(judged_runs(fit.plant, judged, window=runs.window), runs)
+    ratio = error_ratio(runs_in(runs.window, fit.plant, judged), runs)
     if not ratio < RULES.answer.confirmed:
         return []
     return [FitNote(_REVERSED.format(nominal.inputs[j], ratio))]
@@ -76,14 +76,14 @@ def _influence_notes(discovery: Discovery, inputs: Sequence[int]) -> list[str]:
     if long_runs is None or not np.all(long_runs.nrmse < _RULES.follows):
         return []
     window, substeps = long_runs.window, long_runs.substeps
-    runs = judged_runs(plant, records, window=window, substeps=substeps)
+    runs = runs_in(window, plant, records, substeps)
     notes = []
     for j in inputs:
         replaced = [
             _with_input(record, j, np.mean(record.inputs[record.input_valid, j]))
             for record in records
         ]
-        trial = judged_runs(plant, replaced, window=window, substeps=substeps)
+        trial = runs_in(window, plant, replaced, substeps)
         if (ratio := error_ratio(trial, runs)) < _RULES.no_influence:
             notes.append(FitNote(_NO_INFLUENCE.format(plant.inputs[j], ratio)))
     return notes

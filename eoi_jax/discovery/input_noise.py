@@ -24,7 +24,7 @@ from numpy.lib.stride_tricks import sliding_window_view
 from eoi_jax.data.record import Record
 from eoi_jax.data.resampling import runs as runs_of
 from eoi_jax.models.plant import Plant
-from eoi_jax.simulation.validate import judged_runs
+from eoi_jax.simulation.validate import runs_in
 from eoi_jax.simulation.validation import Validation
 
 
@@ -167,7 +167,7 @@ def _with_noise(record: Record, levels: Sequence[Levels], draw: np.random.Genera
 
 
 def _again(plant: Plant, records: Sequence[Record], run: Validation) -> Validation:
-    return judged_runs(plant, records, window=run.window, substeps=run.substeps or None)
+    return runs_in(run.window, plant, records, run.substeps or None)
 
 
 def _distance_squared(first: Validation, second: Validation) -> Float[np.ndarray, " ny"]:

@@ -20,7 +20,7 @@ from eoi_jax.simulation.integrator import frictional
 from eoi_jax.simulation.validate import (
     FreeRuns,
     growth_that_rules,
-    judged_runs,
+    runs_in,
     whole_and_windows,
 )
 
@@ -55,7 +55,7 @@ def refitted(task: Task, model: Plant) -> tuple[Identification, tuple[str, ...]]
         return estimate(model, task.prepared), ()
 
     def error(plant: Plant) -> float:
-        return float(np.sum(np.log(judged_runs(plant, task.records, window=window).rmse + 1e-300)))
+        return float(np.sum(np.log(runs_in(window, plant, task.records).rmse + 1e-300)))
 
     with concurrently(task.threads, lambda: error(model)) as searched_error:
         refit = estimate(model, task.prepared)
@@ -132,7 +132,7 @@ def free_runs(task: Task, plant: Plant) -> FreeRuns:
     records, longest = task.held_out or task.records, task.longest
     window = window_of(task, records)
     if longest is None and plant is task.declared.plant:
-        short = None if window is None else judged_runs(plant, records, window=window)
+        short = None if window is None else runs_in(window, plant, records)
         return task.whole_runs, short
     return whole_and_windows(plant, records, window, longest)
 

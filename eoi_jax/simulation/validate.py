@@ -301,7 +301,7 @@ def whole_and_windows(
         Long and short runs; None for these where a window holds no more than a start takes.
     """
     if longest is None:
-        return judged_runs(plant, records), _in_windows(plant, records, window)
+        return judged_runs(plant, records), _short_runs(plant, records, window)
     short = longest if window is None else window
     lengths = longest, min(short, 0.5 * longest)
     pairs = [(window_head(length, plant, records), length) for length in lengths]
@@ -309,14 +309,39 @@ def whole_and_windows(
     return long_runs, short_runs
 
 
-def _in_windows(plant: Plant, records: Sequence[Record], window: float | None) -> Validation | None:
-    """Runs in windows: starts take as many samples as by default, or a share of short windows."""
+def _short_runs(plant: Plant, records: Sequence[Record], window: float | None) -> Validation | None:
+    """Runs in windows; None where these hold no more than a start takes."""
+    if window is None:
+        return None
+    count = round(window / max(record.sample_period for record in records))
+    head = _window_starts(plant, records, window) or 0
+    return runs_in(window, plant, records) if head < count else None
+
+
+def runs_in(
+    window: float | None,
+    plant: Plant,
+    records: Sequence[Record],
+    substeps: int | None = None,
+) -> Validation:
+    """Runs of this length, None for whole records, each from as many samples as it has for a start.
+
+    Args:
+        window: length of the runs [s].
+        plant: to judge.
+        records: on these.
+        substeps: as of `validate`.
+    """
+    return judged_runs(plant, records, _window_starts(plant, records, window), window, substeps)
+
+
+def _window_starts(plant: Plant, records: Sequence[Record], window: float | None) -> int | None:
+    """Samples of the start of a window: None for as many as by default, a share of short ones."""
     if window is None:
         return None
     count = round(window / max(record.sample_period for record in records))
     fits = all(start_samples(record, plant.rows) < count for record in records)
-    head = None if fits else window_head(window, plant, records)
-    return judged_runs(plant, records, head, window) if (head or 0) < count else None
+    return None if fits else window_head(window, plant, records)
 
 
 def _head(plant: Plant, record: Record, initial_samples: int | None) -> int:
