@@ -21,6 +21,7 @@ _NAMES = re.compile(
     r"sec|secs|seconds?|s|ms|us|µs|millis|micros|zeitstempel|uhrzeit|datum)$",
     re.IGNORECASE,
 )
+_ENDS_IN_TIME = re.compile(r"(time|zeit|temps|tiempo|tempo)$", re.IGNORECASE)
 _COUNTERS = re.compile(r"(|\d+|index|idx|i|k|n|no|nr|row|sample|samples|unnamed.*)$", re.IGNORECASE)
 _UNITS = {
     "s": 1.0, "sec": 1.0, "second": 1.0, "seconds": 1.0, "ms": 1e-3, "msec": 1e-3,
@@ -111,15 +112,42 @@ def find_clock(
     likely = sorted((key for key in scores if scores[key] > 0), key=lambda key: -scores[key])
     if not likely:
         return Clock(None)
+    highest = likely[0]
+    likely = _steadiest_first(likely, numbers, table)
     column, values = likely[0], numbers[likely[0]]
     dates = table.columns[column].dtype.kind in "Mm"
     factor, unit_reason = _unit(column, values, table)
     name_reason = "the file says so" if column == table.time else _reason(column, values, dates)
+    name_reason += "" if column == highest else f"; unlike `{highest}`, it never goes back"
     if _runs_evenly(column, values, table):  # a signal that rises throughout is no second clock
         likely = [key for key in likely if _runs_evenly(key, numbers[key], table)]
     return _clock_of(
         column, values * factor, factor, f"{name_reason}; {unit_reason}", tuple(likely[1:4])
     )
+
+
+def _steadiest_first(
+    likely: list[str], numbers: Mapping[str, Float[np.ndarray, " time"]], table: Table
+) -> list[str]:
+    """The candidates; where the first goes back, as the time of a step, a total time before it.
+
+    That has dates or is called a time, never goes back, and increases at as many rows or more.
+    """
+    first = np.diff(numbers[likely[0]])
+    if likely[0] == table.time or not np.any(first < 0):
+        return likely
+    for key in likely[1:]:
+        steps = np.diff(numbers[key])
+        is_clock = table.columns[key].dtype.kind in "Mm" or _means_time(key, table)
+        if is_clock and np.all(steps >= 0) and np.sum(steps > 0) >= np.sum(first > 0):
+            return [key, *(name for name in likely if name != key)]
+    return likely
+
+
+def _means_time(key: str, table: Table) -> bool:
+    """Whether a column is called a time, as `Test_Time` too, or has a unit of time in its file."""
+    unit = table.units.get(key, "").strip().lower()
+    return is_called_time(key) or bool(_ENDS_IN_TIME.search(_stem(key))) or unit in _UNITS
 
 
 def is_called_time(key: str) -> bool:
@@ -134,7 +162,7 @@ def is_called_time(key: str) -> bool:
 def _runs_evenly(key: str, values: Float[np.ndarray, " time"], table: Table) -> bool:
     """Whether a column is called a time, or ticks evenly and is not called a signal."""
     dates = table.columns[key].dtype.kind in "Mm"
-    if key == table.time or dates or is_called_time(key):
+    if key == table.time or dates or _means_time(key, table):
         return True
     return not role_of_name(key) and _ticks(np.diff(values))
 
@@ -154,14 +182,15 @@ def _score(
     # where it never falls, with as many rows a stamp as a log with a row for each topic has.
     grows = forward > 0.5 and backward < 0.01 if named or dates else forward == 1.0
     grows = grows or ((named or dates) and backward == 0 and forward * most_rows >= 1.0)
-    grows = grows or (named and forward > 0.5 and len(parts_between_restarts(values)) > 1)
+    means_time = _means_time(key, table)
+    grows = grows or (means_time and forward > 0.5 and len(parts_between_restarts(values)) > 1)
     if not grows and not _ticks(steps):
         return 0.0
     unit_steps = bool(np.all(steps == 1.0))
     median = float(np.median(steps))
     regular = float(np.mean(np.abs(steps - median) < 0.5 * abs(median)))
     counter = unit_steps and bool(_COUNTERS.match(_stem(key)))
-    evidence = 8.0 * (key == table.time) + 4.0 * dates + 3.0 * named
+    evidence = 8.0 * (key == table.time) + 4.0 * dates + (3.0 if named else 1.0 * means_time)
     return 1.0 + evidence + regular - 1.5 * counter
 
 

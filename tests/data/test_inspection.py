@@ -759,6 +759,29 @@ def test_short_experiments_below_each_other_are_records_of_their_own(tmp_path):
     assert found.parts == tuple((12 * i, 12 * i + 12) for i in range(count))
 
 
+@pytest.mark.parametrize(
+    ("step", "total"),
+    [
+        ("Time", "Total Time"),  # Neware, h:mm:ss
+        ("Step_Time(s)", "Test_Time(s)"),  # Arbin, in numbers
+        ("Step (Sec)", "Test (Sec)"),  # Maccor
+    ],
+)
+def test_a_total_time_is_the_clock_before_the_time_of_a_step(tmp_path, step, total):
+    """A cycler counts the records from one on, and one of its times from each step on."""
+    seconds = np.arange(N)
+    columns = {"Record": seconds + 1, step: seconds % 60, total: seconds, "u": U, "y": Y}
+    if step == "Time":
+        for name in (step, total):
+            columns[name] = [f"00:{k // 60:02d}:{k % 60:02d}" for k in columns[name]]
+    found = inspect(written(tmp_path / "run.csv", **columns))
+    assert found.clock.column == total
+    assert found.clock.backwards == (0, None)
+    assert found.parts == ((0, N),)
+    assert (roles(found)[step], found.inputs, found.outputs) == ("other", ("u",), ("y",))
+    assert (f"unlike `{step}`, it never goes back" in found.clock.why) == (step == "Time")
+
+
 def test_rows_that_are_not_sorted_are_no_restarts(tmp_path):
     late = np.arange(N, dtype=float)
     late[10::15] -= 3.0  # forty of them, beside the one before
