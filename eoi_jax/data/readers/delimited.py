@@ -35,6 +35,7 @@ _NO_VALUE = (
 )  # fmt: skip
 _EMPTY = {word.lower() for word in _NO_VALUE}
 _POINT = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eEdD][+-]?\d+)?$|[+-]?inf(inity)?$", re.IGNORECASE)
+_OVER_RANGE = ("∞", "+∞", "-∞")
 _COMMA = re.compile(r"[+-]?(\d+,\d+|,\d+)([eE][+-]?\d+)?$")
 # First bytes of files that are not text, whatever their name.
 _KINDS = (
@@ -437,9 +438,8 @@ def _as_number(cell: str) -> float:
 
 def _is_value(cell: str) -> bool:
     text = cell.strip()
-    return (
-        text.lower() in _EMPTY or bool(_POINT.match(text) or _COMMA.match(text)) or is_stamp(text)
-    )
+    is_mark = text.lower() in _EMPTY or text in _OVER_RANGE
+    return is_mark or bool(_POINT.match(text) or _COMMA.match(text)) or is_stamp(text)
 
 
 def _trimmed(cells: list[str]) -> list[str]:

@@ -23,9 +23,10 @@ _NO_VALUE = {
     "fehler", "fühlerbruch", "kein wert", "keine daten", "messfehler", "nicht verfügbar",
     "sensorfehler", "störung", "überlauf", "ungültig", "unbekannt",
 }  # fmt: skip
-# Not a number and infinity of the C library of Windows, and error codes of a historian with a text.
+# Beyond the range of an oscilloscope, not a number and infinity of the C library of Windows, and
+# error codes of a historian with a text.
 _NO_NUMBER = re.compile(
-    r"-?nan\((ind|snan)\)$|[+-]?1\.#(inf|ind|s?nan|qnan)\d*$|\[-\d{2,6}\] \S.*$"
+    r"[+-]?∞$|-?nan\((ind|snan)\)$|[+-]?1\.#(inf|ind|s?nan|qnan)\d*$|\[-\d{2,6}\] \S.*$"
 )
 _MARKS = re.compile(r"[-–*?#.=_]+$")
 BEYOND = "is beyond a limit of detection"  # behind the name of a column

@@ -31,7 +31,7 @@ def test_a_switch_that_never_moves_is_one_too(tmp_path):
 MARKS = (
     "unavailable", "Bad Input", "---", "***", "No Data", "Inp OutRange", "<null>", "Error",
     "missing", "Störung", "ungültig", "kein Wert", "Sensorfehler", "1.#INF", "-1.#IND00",
-    "nan(ind)", "[-11059] No Good Data For Calculation",
+    "nan(ind)", "∞", "-∞", "[-11059] No Good Data For Calculation",
 )  # fmt: skip
 
 
@@ -46,6 +46,19 @@ def test_marks_of_no_value_are_not_measured_and_said(tmp_path, mark):
     with pytest.warns(RecordWarning, match="2 of 40 samples are not finite"):
         record = read_record(path, time="t", inputs="y", outputs="u")
     np.testing.assert_array_equal(np.flatnonzero(~record.valid), [7, 20])
+
+
+@pytest.mark.parametrize("mark", ["∞", "-∞"])
+@pytest.mark.parametrize("row", [0, 1, N - 1])
+def test_an_oscilloscope_beyond_its_range_does_not_move_the_header(tmp_path, mark, row):
+    """Decimal commas and units in brackets above a blank line, as PicoScope writes them."""
+    lines = [f"{k},5;{mark if k == row else k};{k % 3},25" for k in range(N)]
+    path = tmp_path / "run.csv"
+    path.write_text("Zeit;Kanal A;Kanal B\n(ms);(V);(mA)\n\n" + "\n".join(lines), "utf-8")
+    table = read_table(path)
+    assert table.units == {"Zeit": "ms", "Kanal A": "V", "Kanal B": "mA"}
+    np.testing.assert_array_equal(table.columns["Zeit"], np.arange(N) + 0.5)
+    assert np.flatnonzero(np.isnan(table.columns["Kanal A"])).tolist() == [row]
 
 
 @pytest.mark.parametrize(
