@@ -11,7 +11,8 @@ RUNS = Path("runs")
 # Those of `eoi_jax.export`, which completion does not import.
 LANGUAGES = ("python", "c", "matlab", "latex", "json", "idnlgrey")
 DATA_FILES = (
-    ".csv", ".tsv", ".txt", ".dat", ".gz", ".parquet", ".mat", ".h5", ".hdf5", ".npz", ".xlsx",
+    ".csv", ".tsv", ".txt", ".dat", ".mpt", ".lvm", ".gz", ".parquet", ".mat", ".h5", ".hdf5",
+    ".npz", ".xlsx",
 )  # fmt: skip
 
 

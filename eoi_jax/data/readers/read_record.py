@@ -68,9 +68,10 @@ def read_record(
 ) -> Record:
     """A record from named columns of a file.
 
-    Known files: .csv, .tsv, .txt, .dat (also with .gz; comma, semicolon, tab, bar or spaces;
-    decimal points or commas; a header line, which may start with % or #, a line of units below it,
-    or none: columns are then called ``0``, ``1``, …, or by the numbers 0, 1, …), .parquet, .mat
+    Known files: .csv, .tsv, .txt, .dat, .mpt, .lvm (also with .gz; comma, semicolon, tab, bar or
+    spaces; decimal points or commas; a header line, which may start with % or #, a line of units
+    below it, or none: columns are then called ``0``, ``1``, …, or by the numbers 0, 1, …), .parquet,
+    .mat
     (any version), .h5, .hdf5, .npz, .xlsx (with openpyxl). Structures and groups are reached as
     ``structure.field`` in .mat and ``group/name`` in .h5; column 2 of a matrix as ``name[2]``,
     counted from 0. Columns of dates and times of day count in seconds from the first; times of day
@@ -600,6 +601,8 @@ _READERS: dict[str, Callable[[Path, Allowance], Table]] = {
     ".tsv": read_text,
     ".txt": read_text,
     ".dat": read_text,
+    ".mpt": read_text,  # of EC-Lab
+    ".lvm": read_text,  # of LabVIEW
     ".parquet": _read_parquet,
     ".mat": read_mat,
     ".h5": read_hdf5,

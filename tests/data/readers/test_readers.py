@@ -66,6 +66,7 @@ def write_gzip(path):
     [
         ("run.csv", write_csv),
         ("run.tsv", lambda path: write_csv(path, "\t")),
+        ("run.mpt", lambda path: write_csv(path, "\t")),
         ("run.dat", lambda path: write_csv(path, ";", ",")),
         ("run.csv.gz", write_gzip),
         ("run.txt", write_spaces),
