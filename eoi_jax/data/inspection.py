@@ -245,7 +245,10 @@ def _with_named_roles(
 
 
 def _declared_period(table: Table, clock: Clock) -> Clock:
-    """The clock with the sample period that a column or variable of the file holds."""
+    """The clock with the sample period that a setting, column or variable of the file holds."""
+    if table.period is not None:
+        setting, period = table.period
+        return replace(clock, sample_period=period, why=f"`{setting}` is {period:g}")
     for key, values in table.columns.items():
         word = key.rsplit(".", 1)[-1].lower().replace("_", "")
         if values.dtype.kind not in "iuf" or word not in _PERIODS | _RATES:

@@ -6,7 +6,6 @@ their values; the row above them holds the names. A row of units and lines befor
 recognised in the same way.
 """
 
-import csv
 import gzip
 import io
 import re
@@ -21,22 +20,29 @@ from typing import Any
 import numpy as np
 
 from eoi_jax._checks import counted
+from eoi_jax.data.readers.cells import (
+    COMMA,
+    EMPTY,
+    NO_VALUE,
+    POINT,
+    as_number,
+    is_value,
+    split_cells,
+    trimmed,
+)
 from eoi_jax.data.readers.limits import PIECE, Allowance
 from eoi_jax.data.readers.stamps import is_stamp, on_their_days, read_stamps, zone_problem
 from eoi_jax.data.readers.table import Columns, Table
+from eoi_jax.data.readers.titles import (
+    Titles,
+    are_units,
+    names_before_slashes,
+    read_titles,
+    units_in_names,
+)
 from eoi_jax.data.readers.words import without_unit, without_words
 
 _SEPARATORS = (";", "\t", ",", "|", "")  # "" for spaces
-# Cells without a value, as spreadsheets (in English and German), pandas and people write them.
-_NO_VALUE = (
-    "", "nan", "NaN", "NA", "N/A", "n/a", "#N/A", "null", "NULL", "None", "-", "n.a.", "N.A.",
-    "k.A.", "k. A.", "#DIV/0!", "#VALUE!", "#REF!", "#NUM!", "#NAME?", "#NULL!", "#WERT!", "#NV",
-    "#BEZUG!", "#ZAHL!",
-)  # fmt: skip
-_EMPTY = {word.lower() for word in _NO_VALUE}
-_POINT = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eEdD][+-]?\d+)?$|[+-]?inf(inity)?$", re.IGNORECASE)
-_OVER_RANGE = ("∞", "+∞", "-∞")
-_COMMA = re.compile(r"[+-]?(\d+,\d+|,\d+)([eE][+-]?\d+)?$")
 # First bytes of files that are not text, whatever their name.
 _KINDS = (
     (b"\x89PNG", "a PNG picture"),
@@ -60,8 +66,7 @@ class _Layout:
     separator: str
     decimal: str
     start: int  # line at which the data start
-    names: tuple[str, ...]
-    units: tuple[str, ...]
+    titles: Titles
     notes: tuple[str, ...]
 
 
@@ -69,7 +74,7 @@ def read_text(path: Path, allowance: Allowance) -> Table:
     """The columns of a text file, numbers as float64, dates as datetime64, others as text.
 
     Args:
-        path: .csv, .tsv, .txt, .dat, also with .gz.
+        path: .csv, .tsv, .txt, .dat, .mpt, .lvm, also with .gz.
         allowance: bytes that the file may unpack to.
 
     Raises:
@@ -158,7 +163,7 @@ def _frame(source: Any, layout: _Layout, encoding: str) -> Any:
                 decimal=layout.decimal,
                 encoding=encoding,
                 encoding_errors="replace",
-                na_values=list(_NO_VALUE),
+                na_values=list(NO_VALUE),
             )
         except pd.errors.ParserError as failure:
             raise _too_long(failure) from None
@@ -199,23 +204,19 @@ def _read(source: Any, lines: Sequence[str], encoding: str, separator: str | Non
     if empty:
         frame = frame.iloc[: len(frame) - empty].infer_objects()
         notes.append(f"Left out at the end: {counted(empty, 'empty row')}.")
-    names = list(layout.names)
+    titles, names = layout.titles, layout.titles.names
     while len(names) < frame.shape[1] > 1 and bool(frame.iloc[:, -1].isna().all()):
         frame = frame.iloc[:, :-1]  # rows that end in a separator
-    fits = len(names) == frame.shape[1]
-    keys = names if fits else [str(i) for i in range(frame.shape[1])]
-    keys = [key or str(i) for i, key in enumerate(keys)]
-    repeated = [key for key, count in Counter(keys).items() if count > 1]
-    if repeated:
-        names_text = ", ".join(repeated[:5])
-        raise ValueError(f"its header repeats a name: {names_text}; give each column its own name")
-    if names and not fits:
-        what = f"{counted(len(names), 'name')} for {counted(frame.shape[1], 'column')}"
-        notes.append(f"The header has {what}: left out, and the columns are numbered from 0.")
-    units = {key: unit for key, unit in zip(keys, layout.units, strict=False) if unit and fits}
+    keys, units = _keys(titles, frame.shape[1], notes)
+    settings = [] if names else _columns_of_settings(frame)
+    if settings:
+        listed = ", ".join(map(str, settings))
+        notes.append(f"Columns {listed} hold settings of an instrument, no samples: left out.")
     columns: Columns = {}
     objects: dict[str, str] = {}
     for i, key in enumerate(keys):
+        if i in settings:
+            continue
         grouped = _thousands(frame[i]) if layout.decimal == "," else ""
         if grouped:
             objects[key] = (
@@ -231,9 +232,54 @@ def _read(source: Any, lines: Sequence[str], encoding: str, separator: str | Non
         if columns[key].dtype.kind == "O":
             columns[key], unit = without_unit(columns[key])
             units |= {key: unit} if unit else {}
-    units = {**_named_units(keys), **units}
+    units = {key: unit for key, unit in {**units_in_names(keys), **units}.items() if unit}
     columns = on_their_days(columns, units, notes)
-    return Table(columns, units, tuple(notes), objects)
+    if titles.count and keys[0] in columns and columns[keys[0]].dtype.kind in "iuf":
+        columns[keys[0]] = _counted_time(titles.count, keys[0], columns[keys[0]], notes)
+    return Table(columns, units, tuple(notes), objects, period=titles.period)
+
+
+def _keys(titles: Titles, count: int, notes: list[str]) -> tuple[list[str], dict[str, str]]:
+    """Names of so many columns, their numbers where the header does not fit; and units by name."""
+    names = list(titles.names)
+    if len(names) == count + 1 and names[-1].lower() == "comment":
+        names.pop()  # of a LabVIEW measurement without any
+    fits = len(names) == count
+    slashes = names_before_slashes(names) if fits else {}
+    keys = [slashes[name][0] if name in slashes else name for name in names]
+    keys = [key or str(i) for i, key in enumerate(keys if fits else [""] * count)]
+    repeated = [key for key, number in Counter(keys).items() if number > 1]
+    if repeated:
+        names_text = ", ".join(repeated[:5])
+        raise ValueError(f"its header repeats a name: {names_text}; give each column its own name")
+    if names and not fits:
+        what = f"{counted(len(names), 'name')} for {counted(count, 'column')}"
+        notes.append(f"The header has {what}: left out, and the columns are numbered from 0.")
+    if slashes:
+        pairs = [f"`{full}` is `{name}`" for full, (name, _) in slashes.items()]
+        notes.append(f"Units behind a slash are no part of the names: {', '.join(pairs[:20])}.")
+    units = {key: unit for key, unit in zip(keys, titles.units, strict=False) if unit and fits}
+    return keys, units | dict(slashes.values())
+
+
+def _counted_time(
+    count: tuple[float, float], key: str, numbers: np.ndarray, notes: list[str]
+) -> np.ndarray:
+    """The time [s] of samples by their numbers."""
+    start, increment = count
+    notes.append(
+        f"`{key}` counts the samples: read as {start:g} + {increment:g} `{key}`, the time in "
+        "seconds by `Start` and `Increment` of the file."
+    )
+    return start + increment * numbers
+
+
+def _columns_of_settings(frame: Any) -> list[int]:
+    """The columns of words that are empty in the second half of the rows, and empty ones beside."""
+    is_empty = frame.isna().all()
+    ends_empty = frame.iloc[len(frame) // 2 :].isna().all()
+    words = [i for i in frame.columns if frame[i].dtype.kind == "O" and ends_empty[i]]
+    return [i for i in frame.columns if i in words or is_empty[i]] if words else []
 
 
 def first_word(cells: Iterable[Any]) -> str:
@@ -243,7 +289,7 @@ def first_word(cells: Iterable[Any]) -> str:
         cells: of a column of text.
     """
     texts = [cell for cell in cells if isinstance(cell, str)]
-    numbers = (bool(_POINT.match(text.strip()) or _COMMA.match(text.strip())) for text in texts)
+    numbers = (bool(POINT.match(text.strip()) or COMMA.match(text.strip())) for text in texts)
     words = (text for text, is_number in zip(texts, numbers, strict=True) if not is_number)
     return next(words, texts[0] if texts else "")
 
@@ -271,7 +317,7 @@ def _thousands(values: Any) -> str:
 
 
 def _with_decimal_point(cell: Any) -> Any:
-    return cell.replace(",", ".") if isinstance(cell, str) and _COMMA.match(cell.strip()) else cell
+    return cell.replace(",", ".") if isinstance(cell, str) and COMMA.match(cell.strip()) else cell
 
 
 # -- layout -------------------------------------------------------------------------------
@@ -287,7 +333,7 @@ def _layout(lines: Sequence[str], separator: str | None = None) -> _Layout:
     sample = [line for _, line in body[len(body) // 2 :]]
     if separator is None:
         separator = max(_SEPARATORS, key=lambda mark: _score(sample, mark))
-    rows = [(i, _cells(line, separator)) for i, line in body]
+    rows = [(i, split_cells(line, separator)) for i, line in body]
     width, value_columns = _value_columns([cells for _, cells in rows[len(rows) // 2 :]])
     start = next(
         (k for k, (_, cells) in enumerate(rows) if _is_data_row(cells, width, value_columns)), None
@@ -300,83 +346,41 @@ def _layout(lines: Sequence[str], separator: str | None = None) -> _Layout:
     notes = []
     decimal = "."
     data = [cells for _, cells in rows[start:]]
-    commas = sum(bool(_COMMA.match(cell)) for cells in data for cell in cells)
-    points = sum("." in cell and bool(_POINT.match(cell)) for cells in data for cell in cells)
+    commas = sum(bool(COMMA.match(cell)) for cells in data for cell in cells)
+    points = sum("." in cell and bool(POINT.match(cell)) for cells in data for cell in cells)
     if commas > points:
         decimal = ","
         notes.append("Numbers are written with decimal commas.")
-    header = [cells for i, cells in rows[:start] if len(_trimmed(cells)) > 0]
-    names, units = _titles(header, remarks, rows[start][0], width, separator)
-    used = (names is not None) + bool(units) if header else 0
-    if len(header) > used and header:
-        lines = counted(len(header) - used, "line")
+    header = [cells for _, cells in rows[:start] if len(trimmed(cells)) > 0]
+    if header:
+        keyed = all(len(cells) > 1 and not cells[0] for cells in data)
+        titles = read_titles(header, width, keyed)
+    else:
+        titles = _commented([line for i, line in remarks if i < rows[start][0]], separator)
+    if len(header) > titles.lines:
+        lines = counted(len(header) - titles.lines, "line")
         notes.append(f"Skipped before the header: {lines}.")
-    return _Layout(separator, decimal, rows[start][0], tuple(names or ()), units, tuple(notes))
+    if not titles.names:
+        notes.append("There is no line of names: the columns are numbered from 0.")
+    return _Layout(separator, decimal, rows[start][0], titles, (*notes, *titles.notes))
 
 
-def _titles(
-    header: list[list[str]],
-    remarks: list[tuple[int, str]],
-    first: int,
-    width: int,
-    separator: str,
-) -> tuple[list[str] | None, tuple[str, ...]]:
-    """Names and units of the columns from the rows or comment lines above the data."""
-    if not header:
-        preceding = [line for i, line in remarks if i < first]
-        if not preceding:
-            return None, ()
-        text = preceding[-1].strip().lstrip("%#").strip()
-        return _trimmed(_cells(text, separator if separator in text else "")), ()
-    last_row, rows = _trimmed(header[-1]), [_trimmed(cells) for cells in header]
-    names_above_units = len(rows) > 1 and len(rows[-2]) in (width, width - 1) and all(rows[-2])
-    if (
-        names_above_units
-        and len(set(rows[-2])) == len(rows[-2]) >= len(last_row)
-        and _are_units(last_row)
-    ):
-        return rows[-2], tuple(cell.strip("[]() ") for cell in last_row)
-    return last_row, ()
-
-
-def _are_units(cells: list[str]) -> bool:
-    """Whether a row may hold units: short texts without spaces, possibly in brackets.
-
-    Of numbers only 1 is a unit, and none that something is less than.
-    """
-    filled = [cell.strip("[]()") for cell in cells if cell]
-    return bool(filled) and all(
-        len(cell) <= 12
-        and " " not in cell
-        and (cell == "1" or np.isnan(_as_number(cell.lstrip("<>≤≥="))))
-        for cell in filled
-    )
-
-
-_BRACKETED = re.compile(r"(.*\S)(\s*)[\[(]\s*([^\[\]()]{1,12}?(?:\([ag]\))?)\s*[\])]$")
-
-
-def _named_units(keys: Sequence[str]) -> dict[str, str]:
-    """Units within the names: ``voltage [V]``, ``angle (rad)``, ``p [bar(g)]``.
-
-    A number is none but 1 behind a space, where no further name has another one there.
-    """
-    matches = {key: match for key in keys if (match := _BRACKETED.match(key))}
-    numbered = Counter(match[1] for match in matches.values() if match[3].isdigit())
-    return {
-        key: match[3]
-        for key, match in matches.items()
-        if not match[3].isdigit() or ((match[3], numbered[match[1]]) == ("1", 1) and match[2])
-    }
+def _commented(remarks: Sequence[str], separator: str) -> Titles:
+    """The names in the last line of remarks above the data."""
+    if not remarks:
+        return Titles()
+    text = remarks[-1].strip().lstrip("%#").strip()
+    cells = split_cells(text, separator if separator in text else "")
+    return Titles(tuple(trimmed(cells)))
 
 
 def _score(lines: Sequence[str], separator: str) -> tuple[float, bool]:
     """Share of cells that are values in rows of equal width; then whether rows have several."""
-    rows = [_cells(line, separator) for line in lines]
+    rows = [split_cells(line, separator) for line in lines]
     counts = Counter(len(row) for row in rows)
     width, frequency = counts.most_common(1)[0]
     cells = [cell for row in rows for cell in row]
-    values = sum(_is_value(cell) for cell in cells) / max(len(cells), 1)
+    values = sum(is_value(cell) for cell in cells) / max(len(cells), 1)
     return values * frequency / len(rows), width > 1
 
 
@@ -386,17 +390,17 @@ def _value_columns(rows: Sequence[list[str]]) -> tuple[int, list[bool]]:
     width = max(counts, key=lambda count: (counts[count], -count))
     full_rows = [row for row in rows if len(row) == width]
     return width, [
-        2 * sum(_is_value(row[j]) for row in full_rows) > len(full_rows) for j in range(width)
+        2 * sum(is_value(row[j]) for row in full_rows) > len(full_rows) for j in range(width)
     ]
 
 
 def _is_data_row(cells: list[str], width: int, value_columns: list[bool]) -> bool:
     """Whether a row has values in the columns in which the rows of data have them."""
-    if all(_is_value(cell) for cell in cells if cell) and any(cells):
+    if all(is_value(cell) for cell in cells if cell) and any(cells):
         return True  # a row of numbers is data; the reader reports a wrong number of cells
     filled = len(cells) == width and any(value_columns) and any(cells)
     return filled and all(
-        _is_value(cell) or not cell
+        is_value(cell) or not cell
         for cell, is_value_column in zip(cells, value_columns, strict=True)
         if is_value_column
     )
@@ -407,50 +411,30 @@ def _has_data(rows: Sequence[list[str]], start: int, width: int, value_columns: 
 
     No header and no units have a date or a time of day in the first column of values where the
     row below has one, or a number there and numbers in at least half of these columns, if these
-    increase to the row below (the first that differs) or stand below a row of names.
+    increase to the row below (the first that differs) or stand below a row of names. None has
+    numbers in all columns that are not empty in the second half of the rows: words beside them are
+    settings.
     """
     cells, below = rows[start - 1], rows[start]
     columns = [j for j in range(width) if value_columns[j]]
     if len(cells) != width or len(below) != width or not columns:
         return False
+    full_rows = [row for row in rows[len(rows) // 2 :] if len(row) == width]
+    columns_filled = [j for j in columns if any(row[j] for row in full_rows)]
+    if columns_filled and not any(np.isnan(as_number(cells[j])) for j in columns_filled):
+        return True
     first, next_first = cells[columns[0]], below[columns[0]]
     if is_stamp(first) and is_stamp(next_first):
         return True
-    values = sum(_is_value(cells[j]) and cells[j].lower() not in _EMPTY for j in columns)
-    if 2 * values < len(columns) or np.isnan(_as_number(first)):
+    values = sum(is_value(cells[j]) and cells[j].lower() not in EMPTY for j in columns)
+    if 2 * values < len(columns) or np.isnan(as_number(first)):
         return False
-    steps = [_as_number(below[j]) - _as_number(cells[j]) for j in columns]
+    steps = [as_number(below[j]) - as_number(cells[j]) for j in columns]
     changes = [step for step in steps if np.isfinite(step) and step != 0.0]
     under_names = start > 1 and _are_names(rows[start - 2], width)
-    return (bool(changes) and changes[0] > 0.0) or (under_names and not _are_units(cells))
+    return (bool(changes) and changes[0] > 0.0) or (under_names and not are_units(cells))
 
 
 def _are_names(cells: list[str], width: int) -> bool:
     """Whether a row has a name without a value for each column."""
-    return len(set(cells)) == len(cells) == width and not any(map(_is_value, cells))
-
-
-def _as_number(cell: str) -> float:
-    """The number in a cell, with either decimal mark; NaN where there is none."""
-    is_number = _POINT.match(cell) or _COMMA.match(cell)
-    return float(cell.replace(",", ".").upper().replace("D", "E")) if is_number else float("nan")
-
-
-def _is_value(cell: str) -> bool:
-    text = cell.strip()
-    is_mark = text.lower() in _EMPTY or text in _OVER_RANGE
-    return is_mark or bool(_POINT.match(text) or _COMMA.match(text)) or is_stamp(text)
-
-
-def _trimmed(cells: list[str]) -> list[str]:
-    cells = list(cells)
-    while cells and not cells[-1]:
-        cells.pop()
-    return cells
-
-
-def _cells(line: str, separator: str) -> list[str]:
-    if not separator:
-        return line.split()
-    rows = csv.reader([line], delimiter=separator, skipinitialspace=True)
-    return [cell.strip() for cell in next(rows)]
+    return len(set(cells)) == len(cells) == width and not any(map(is_value, cells))

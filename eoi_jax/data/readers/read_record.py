@@ -70,8 +70,8 @@ def read_record(
 
     Known files: .csv, .tsv, .txt, .dat, .mpt, .lvm (also with .gz; comma, semicolon, tab, bar or
     spaces; decimal points or commas; a header line, which may start with % or #, a line of units
-    below it, or none: columns are then called ``0``, ``1``, …, or by the numbers 0, 1, …), .parquet,
-    .mat
+    below it, or none: columns are then called ``0``, ``1``, …, or by the numbers 0, 1, …; a unit
+    behind a slash, as in ``I/mA``, is no part of the name), .parquet, .mat
     (any version), .h5, .hdf5, .npz, .xlsx (with openpyxl). Structures and groups are reached as
     ``structure.field`` in .mat and ``group/name`` in .h5; column 2 of a matrix as ``name[2]``,
     counted from 0. Columns of dates and times of day count in seconds from the first; times of day
@@ -557,6 +557,7 @@ def _printable(table: Table) -> Table:
         tuple(readable[key] for key in table.outputs),
         {readable[key]: hold for key, hold in table.holds.items()},
         tuple(map(printable, table.sheets)),
+        table.period,
     )
 
 

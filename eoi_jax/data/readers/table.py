@@ -22,6 +22,7 @@ class Table:
         inputs: the columns that the file declares as inputs.
         outputs: the columns that the file declares as outputs.
         holds: of all declared inputs, where the file gives them (`input_holds.HOLDS`).
+        period: the setting of the file that gives the time between samples, and that time [s].
         sheets: of an Excel file, those that hold anything; the one that was read comes first.
     """
 
@@ -34,6 +35,7 @@ class Table:
     outputs: tuple[str, ...] = ()
     holds: Mapping[str, str] = field(default_factory=dict)
     sheets: tuple[str, ...] = ()
+    period: tuple[str, float] | None = None
 
     @property
     def sheet_text(self) -> str:
