@@ -141,8 +141,16 @@ def read_lines(text: str, separator: str) -> Table:
 
 
 def _head(stream: Iterable[str], lines: int = 200) -> list[str]:
-    """The first lines, from which the layout is detected."""
-    return list(islice(stream, lines))
+    """The first lines behind those that the file declares, from which the layout is detected."""
+    lines_read = iter(stream)
+    first = list(islice(lines_read, lines))
+    return first + list(islice(lines_read, _declared_lines(first)))
+
+
+def _declared_lines(lines: Sequence[str], first: int = 10) -> int:
+    """Number of lines up to the names, as EC-Lab writes it into one of the first; else zero."""
+    matches = (re.match(r"Nb header lines\s*:\s*(\d{1,6})\s*$", line) for line in lines[:first])
+    return next((int(match[1]) for match in matches if match), 0)
 
 
 def _frame(source: Any, layout: _Layout, encoding: str) -> Any:
@@ -330,11 +338,13 @@ def _layout(lines: Sequence[str], separator: str | None = None) -> _Layout:
     body = [(i, line) for i, line in filled if line.lstrip()[0] not in "%#"]
     if not body:
         raise ValueError("it holds no data")
-    sample = [line for _, line in body[len(body) // 2 :]]
+    declared = sum(i < _declared_lines(lines) for i, _ in body)
+    middle = declared if len(body) // 2 < declared < len(body) else len(body) // 2
+    sample = [line for _, line in body[middle:]]
     if separator is None:
         separator = max(_SEPARATORS, key=lambda mark: _score(sample, mark))
     rows = [(i, split_cells(line, separator)) for i, line in body]
-    width, value_columns = _value_columns([cells for _, cells in rows[len(rows) // 2 :]])
+    width, value_columns = _value_columns([cells for _, cells in rows[middle:]])
     start = next(
         (k for k, (_, cells) in enumerate(rows) if _is_data_row(cells, width, value_columns)), None
     )

@@ -208,6 +208,20 @@ def test_units_behind_slashes_are_no_part_of_the_names(tmp_path):
         read_record(path, "time", "I", "Ewe/V")
 
 
+@pytest.mark.parametrize("count", [30, 199, 400])
+def test_a_long_header_is_as_long_as_the_file_says(tmp_path, count):
+    settings = "".join(f"Ns  {k}  {0.5 * k:.3f}\n" for k in range(count))
+    head = EC_LAB.replace("\n\n", f"\n\n{settings}").replace(": 6", f": {count + 6}")
+    path = written(tmp_path / "cell.mpt", head, "\t".join(["1", "0", "{t}", *["{y}"] * 5]))
+    table = read_table(path)
+    assert list(table.columns)[2:5] == ["time", "control", "Ewe"]
+    np.testing.assert_array_equal(table.columns["Ewe"], Y)
+    assert f"Skipped before the header: {count + 4} lines." in table.notes
+    path.write_text(path.read_text("utf-8").replace(f"\n1\t0\t{T[9]}", "\n1\t0\ttorn"), "utf-8")
+    with pytest.raises(ValueError, match=rf"'torn' in line {count + 6 + 10}\."):
+        read_record(path, "time", "I", "Ewe")
+
+
 @pytest.mark.parametrize(
     "names",
     [
