@@ -15,11 +15,11 @@ import numpy as np
 from eoi_jax.data.readers.cells import as_number, trimmed
 from eoi_jax.data.time_axis import declared_unit, is_called_time
 
-# Units as instruments spell them out.
+# Units as instruments spell them out; none of stamps and numbers of records (TOA5).
 _SYMBOLS = {
     "volt": "V", "volts": "V", "millivolt": "mV", "millivolts": "mV", "amp": "A", "amps": "A",
     "ampere": "A", "amperes": "A", "milliampere": "mA", "watt": "W", "watts": "W", "ohm": "Ω",
-    "ohms": "Ω", "hertz": "Hz", "second": "s", "seconds": "s",
+    "ohms": "Ω", "hertz": "Hz", "second": "s", "seconds": "s", "deg c": "°C", "ts": "", "rn": "",
 }  # fmt: skip
 _CHANNEL_UNITS = re.compile(r"(v|y|vertical|)[ _]?units?([ _]label)?$", re.IGNORECASE)
 _TIME_UNIT = re.compile(r"(h|x|horizontal)[ _]?units?([ _]label)?$", re.IGNORECASE)
@@ -29,6 +29,8 @@ _PERIOD = re.compile(
     r"sampl(e|ing)[ _](interval|period)|h[ _]?resolution|delta[ _]x|x[ _]?increment", re.IGNORECASE
 )
 
+# How a logger made its values of the samples of an interval, below their units (TOA5).
+_PROCESSES = frozenset(("avg", "max", "med", "min", "mom", "smp", "std", "tot", ""))
 _PREFIXED = r"[kMGmµμunp]?(?:V|A|W|Ω|Ohm|Hz|F|H|C|S|T|N|J|K|g|m|s|bar|Pa|Ah|Wh|rad)"
 _FACTOR = rf"(?:{_PREFIXED}|°C|°F|°|deg|%|min|h|rpm|cm|hPa)(?:[²³]|\^?-?[123])?"
 _UNIT = re.compile(rf"{_FACTOR}(?:[.·*/]{_FACTOR})*")
@@ -64,6 +66,8 @@ def read_titles(header: Sequence[list[str]], width: int, keyed: bool) -> Titles:
         keyed: whether the first column of the data is empty, below the keys of the settings.
     """
     rows = [trimmed(cells) for cells in header]
+    if len(rows) > 2 and _PROCESSES.issuperset(cell.lower() for cell in rows[-1]):
+        rows.pop()
     titles = _counted(rows) or (_traces(rows) if keyed else None) or _last_rows(rows, width)
     settings = {row[0]: row[1:] for row in rows if row[1:] and tuple(row) != titles.names}
     period = _period(settings)
@@ -157,7 +161,7 @@ def are_units(cells: Sequence[str]) -> bool:
     filled = [cell.strip("[]()") for cell in cells if cell]
     return bool(filled) and all(
         len(cell) <= 12
-        and " " not in cell
+        and (" " not in cell or cell.lower() in _SYMBOLS)
         and (cell == "1" or np.isnan(as_number(cell.lstrip("<>≤≥="))))
         for cell in filled
     )

@@ -181,6 +181,20 @@ def test_a_spectrum_has_no_period(tmp_path):
     assert inspect(path).clock.sample_period is None
 
 
+def test_a_row_of_what_the_logger_did_stands_below_the_units(tmp_path):
+    """A table of a Campbell Scientific logger, TOA5."""
+    head = """"TOA5","CR1000","CR1000","1234"
+"TIMESTAMP","RECORD","Batt","T_air"
+"TS","RN","Volts","Deg C"
+"","","Min","Avg"
+"""
+    path = written(tmp_path / "met.dat", head, '"2026-11-30 08:01:{k:02d}",{k},{u},{y}', 60)
+    table = read_table(path)
+    assert list(table.columns) == ["TIMESTAMP", "RECORD", "Batt", "T_air"]
+    assert table.units == {"Batt": "V", "T_air": "°C"}
+    assert inspect(path).clock.column == "TIMESTAMP"
+
+
 EC_LAB = """EC-Lab ASCII FILE
 Nb header lines : 6
 
