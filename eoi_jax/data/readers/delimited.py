@@ -34,6 +34,7 @@ from eoi_jax.data.readers.limits import PIECE, Allowance
 from eoi_jax.data.readers.stamps import is_stamp, on_their_days, read_stamps, zone_problem
 from eoi_jax.data.readers.table import Columns, Table
 from eoi_jax.data.readers.titles import (
+    COUNTS,
     Titles,
     are_units,
     names_before_slashes,
@@ -276,7 +277,7 @@ def _counted_time(
     """The time [s] of samples by their numbers."""
     start, increment = count
     notes.append(
-        f"`{key}` counts the samples: read as {start:g} + {increment:g} `{key}`, the time in "
+        f"`{key}` {COUNTS}: read as {start:g} + {increment:g} `{key}`, the time in "
         "seconds by `Start` and `Increment` of the file."
     )
     return start + increment * numbers

@@ -30,6 +30,7 @@ from eoi_jax.data.readers.matlab import read_mat
 from eoi_jax.data.readers.missing import Codes, codes_by_column, without_missing
 from eoi_jax.data.readers.stamps import INTERVALS, MIDNIGHTS, TIMES_OF_DAY, are_days
 from eoi_jax.data.readers.table import Columns, Table, add_columns
+from eoi_jax.data.readers.titles import COUNTS
 from eoi_jax.data.readers.words import BEYOND, is_grouped
 from eoi_jax.data.record import Record
 from eoi_jax.data.repeats import without_repeats
@@ -436,14 +437,14 @@ def _check_seconds(clock: str, table: Table, stamps: np.ndarray) -> None:
 def _date_notes(
     clock: str | None, table: Table, picked: Columns, rows: slice, scaled: bool
 ) -> list[str]:
-    """Sentences on dates in days, days of times of day and an hour left out.
+    """Sentences on dates in days, days of times of day, counted samples and an hour left out.
 
     Dates with an hour twice, and days where another column has the times, are refused.
     """
     if clock is None:
         return []
     stamps = picked[clock][rows]
-    starts = tuple(f"`{clock}` {text}" for text in (TIMES_OF_DAY, INTERVALS, MIDNIGHTS))
+    starts = tuple(f"`{clock}` {text}" for text in (TIMES_OF_DAY, INTERVALS, MIDNIGHTS, COUNTS))
     said = [note for note in table.notes if note.startswith(starts)]
     if table.columns[clock].dtype.kind != "M":
         in_seconds = scaled or declared_unit(clock, table.units.get(clock, "")) is not None

@@ -15,6 +15,7 @@ import numpy as np
 from eoi_jax.data.readers.cells import as_number, trimmed
 from eoi_jax.data.time_axis import declared_unit, is_called_time
 
+COUNTS = "counts the samples"  # how the note on such a column goes on behind its name
 # Units as instruments spell them out; none of stamps and numbers of records (TOA5).
 _SYMBOLS = {
     "volt": "V", "volts": "V", "millivolt": "mV", "millivolts": "mV", "amp": "A", "amps": "A",
