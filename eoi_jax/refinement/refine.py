@@ -232,13 +232,14 @@ def refine_once(
     substeps: int | None = None,
     max_steps: int = 20,
 ) -> Refinement:
-    """A single fit from the plant's values: no other hold, start, beginning or step is tried.
+    """A single fit from the plant's values: no other hold, start or beginning is tried.
 
     Args:
         plant: with the parameters to start from.
         records: whose hold is declared, or taken as it is.
         window: length of each run [s]; None: whole records.
-        substeps: steps of the simulation per sample. None: as the fastest mode there needs them.
+        substeps: steps of the simulation per sample. None: as the fastest mode needs
+            them there and, where that is faster, at the end.
         max_steps: of the solver.
 
     Returns:
@@ -251,7 +252,10 @@ def refine_once(
     error = unweighed(problem, sensitivities)
     if not np.all(np.isfinite(error)):
         return unanswered(plant, records, window, Status("diverged", DIVERGED))
-    fit = fitted(problem, unknowns, sensitivities, error, Effort(max_steps, None), None)
+    effort = Effort(max_steps, None)
+    fit = fitted(problem, unknowns, sensitivities, error, effort, None)
+    if substeps is None:
+        fit = _followed(fit, records, spans, effort)
     spread = 1.0 / np.asarray(problem.scale)
     if not fit.differentiable or np.any(rms(fit.error, fit.use) > _SETTINGS.lost * spread):
         return unanswered(plant, records, window, Status("diverged", DIVERGED))
@@ -573,6 +577,30 @@ def _finer(
             break
         fit = replace(finer, steps=fit.steps + finer.steps)
     return fit, settled
+
+
+def _followed(fit: Fit, records: Sequence[Record], spans: Sequence[Span], effort: Effort) -> Fit:
+    """A fit in steps that follow the fastest mode at its end: anew from there, where they did not.
+
+    A mode that is faster than the steps grows by their error, which seems to tell how fast it is:
+    the fit ends at the limit of stability, with a small standard error. Where a fit runs from there
+    to a faster mode yet, the records do not tell how fast that is: its runs are only simulated in
+    the steps that it needs, for the standard errors.
+    """
+    for anew in (True, False):
+        problem, unknowns = fit.problem, fit.outcome.unknowns
+        plant = problem.kernel.plant.with_parameters(problem.completed(unknowns.theta))
+        count = choose_steps(plant, records).count
+        if not fit.differentiable or count <= problem.substeps:
+            break
+        finer = stepped(problem, records, spans, count)
+        followed = replace(fit, problem=finer, sensitivities=signals(unknowns, finer))
+        if anew and followed.differentiable:
+            start = unknowns, followed.sensitivities, fit.initial_error
+            refit = fitted(finer, *start, effort, None)
+            followed = replace(refit, steps=fit.steps + refit.steps)
+        fit = followed
+    return fit
 
 
 def _renewed(

@@ -8,6 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
+from scipy.signal import lfilter
 
 import eoi_jax as eoi
 from eoi_jax import effects
@@ -18,7 +19,7 @@ from eoi_jax.refinement.fit import _typical, fitted
 from eoi_jax.refinement.free_run_sums import signals
 from eoi_jax.refinement.multistart import _varied, points_of
 from eoi_jax.refinement.problem import Unknowns, guessed_starts, problem_of
-from eoi_jax.refinement.refine import refine
+from eoi_jax.refinement.refine import refine, refine_once
 from eoi_jax.refinement.spans import spans_of, used_window
 
 PERIOD = 5e-3
@@ -1021,3 +1022,22 @@ def test_a_contact_with_damping_is_refined_with_the_derivative_of_its_instants()
     for name, value in true.items():
         assert abs(result.parameters[name] - value) < 3.0 * result.standard_errors[name]
         assert result.standard_errors[name] < 1e-3 * value
+
+
+def test_steps_follow_a_mode_that_a_fit_has_made_fast():
+    """Of a store as fast as that, whose content follows the output, only exchange/rate is told.
+
+    In steps of the start both are told to within a tenth: at the limit of their stability.
+    """
+    plant = eoi.Plant(lambda t, x, u, p: p.b * u - 0.1 * x.y[0], {"b": 1.0}, 1)
+    store = place(plant, effects.SecondNode(), 0)
+    random, decay = np.random.default_rng(1), np.exp(-0.04)
+    u = np.repeat(random.uniform(0.0, 1.0, 30), 10)
+    y = lfilter([0.0, 10.0 * (1.0 - decay)], [1.0, -decay], u)
+    record = eoi.Record(np.arange(300.0), u, y + 0.05 * random.standard_normal(300), hold="zero")
+    start = augmented(plant, (store,), dict(zip(store.names, (0.2, 0.1), strict=True)))
+    fit = refine_once(start, (record,), None, max_steps=100)
+    exchange, rate = (fit.parameters[name] for name in store.names)
+    assert exchange / rate == pytest.approx(1.5, rel=0.02)
+    for name in store.names:
+        assert fit.standard_errors[name] > 0.5 * fit.parameters[name]
