@@ -90,10 +90,12 @@ def _of_each_kind(laws: Sequence[Model], count: int) -> list[Model]:
     """The first so many, then single ones of each kind of which fewer than two are among them.
 
     A lag of the drive and a loss of the output are told apart by no order: where many losses do
-    alike, as an offset and a product with an input that stands still, they leave it no place.
+    alike, as an offset and a product with an input that stands still, they leave it no place. A
+    product is of no kind: two of them must not leave none to a loss above a level.
     """
     chosen = list(laws[:count])
-    counts = Counter(_kind(item.effect) for _, placed in chosen for item in placed)
+    effects = [item.effect for _, placed in chosen for item in placed]
+    counts = Counter(_kind(effect) for effect in effects if not isinstance(effect, PRODUCTS))
     for model in laws[count:]:
         kind = _kind(model[1][0].effect)
         if len(model[1]) == 1 and counts[kind] < _RULES.of_a_kind:

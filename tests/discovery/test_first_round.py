@@ -118,6 +118,14 @@ def test_further_kinds_of_effects_have_a_place_behind_the_first_ones():
     assert [placed[0].effect for _, placed in chosen] == [*kinds[:2], *kinds[3:5]]
 
 
+def test_products_take_no_place_of_a_loss():
+    products = [effects.Product("u", "y"), effects.Product("y", "y")]
+    kinds = [*products, effects.Overflow(), effects.Leak(), effects.QuadraticDrag()]
+    models = [(PLANT, (place(PLANT, effect, 0),)) for effect in kinds]
+    chosen = free_run_candidates._of_each_kind(models, 2)
+    assert [placed[0].effect for _, placed in chosen] == kinds[:4]
+
+
 @pytest.mark.parametrize(("samples", "steps"), [(1000, 100), (4000, 50), (40_000, 20)])
 def test_short_records_are_fitted_to_the_end_of_a_valley(monkeypatch, samples, steps):
     asked = []
