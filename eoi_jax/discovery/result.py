@@ -123,10 +123,18 @@ class Added:
 
     @property
     def alternatives(self) -> tuple[Rival, ...]:
-        """Rivals that are named beside it: each has a probability of a tenth or more."""
+        """Rivals that are named beside it: a tenth or more, or more probable than the effect."""
+        limit, likelier = RULES.probability.alternative, self.likelier
         return tuple(
-            rival for rival in self.rivals if rival.probability >= RULES.probability.alternative
+            rival for rival in self.rivals if rival.probability >= limit or rival in likelier
         )
+
+    @property
+    def likelier(self) -> tuple[Rival, ...]:
+        """Rivals that are more probable than it, the most probable first."""
+        if self.probability is None:
+            return ()
+        return tuple(rival for rival in self.rivals if rival.probability > self.probability)
 
 
 @dataclass(frozen=True)

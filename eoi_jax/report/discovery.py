@@ -8,7 +8,7 @@ import numpy as np
 from eoi_jax.data.clipping import AT_END
 from eoi_jax.discovery.confirm import drifts, only_short
 from eoi_jax.discovery.remarks import RecordNote
-from eoi_jax.discovery.result import Added, Discovery, PartialExplanation, Texts
+from eoi_jax.discovery.result import Added, Discovery, PartialExplanation, Rival, Texts
 from eoi_jax.estimation.degrees_of_freedom import freedom_notes
 from eoi_jax.models.effects import (
     INPUT_EFFECTS,
@@ -177,16 +177,27 @@ def _with_stops(added: Sequence[Added]) -> list[Added]:
 
 
 def possibly(added: Added, text: str) -> str:
-    """A text on an effect; of one that is less probable than not: ``possibly a leak (48.3 %)``."""
+    """A text on an effect; of one that is less probable than not: ``possibly a leak (48.3 %)``.
+
+    Behind rivals that are more probable.
+    """
     if not added.is_doubtful:
         return text
     assert added.probability is not None
-    return f"possibly {text} ({_chance(added.probability)})"
+    likelier = "".join(
+        f"{_in_words(rival)} ({_chance(rival.probability)}) or " for rival in added.likelier
+    )
+    return f"possibly {likelier}{text} ({_chance(added.probability)})"
 
 
 def _alternatives(added: Added) -> str:
-    """Rivals of an effect that are nearly as probable, to be named beside it."""
-    return "".join(f" or {rival.label.replace('_', ' ')}" for rival in added.alternatives)
+    """Rivals of an effect that are nearly as probable, to be named behind it."""
+    rivals = [rival for rival in added.alternatives if rival not in added.likelier]
+    return "".join(f" or {_in_words(rival)}" for rival in rivals)
+
+
+def _in_words(rival: Rival) -> str:
+    return rival.label.replace("_", " ")
 
 
 def _lead_phrases(discovery: Discovery) -> tuple[str, ...]:

@@ -12,7 +12,7 @@ import eoi_jax as eoi
 from eoi_jax import effects, plants
 from eoi_jax.data.clipping import AT_END
 from eoi_jax.discovery.diagnose import diagnose
-from eoi_jax.discovery.result import Added, Evidence
+from eoi_jax.discovery.result import Added, Evidence, Rival
 from eoi_jax.models.equations.display import equation_latex, equation_text
 from eoi_jax.models.equations.printer import name_latex
 from eoi_jax.models.storage import save
@@ -254,6 +254,19 @@ def test_an_effect_that_is_less_probable_than_not_is_told_as_possible(found, sto
     ]
     assert tile.count("possibly") == said.count("possibly")
     assert told.effects == found.effects
+
+
+def test_a_rival_that_is_more_probable_is_named_before_the_effect(found):
+    rivals = tuple(
+        Rival(name, "", "force", chance)
+        for name, chance in (("sensor_lag", 0.034), ("input_dead_zone", 0.0241), ("drift", 0.01))
+    )
+    added = dataclasses.replace(found.added[0], probability=0.0236, rivals=rivals)
+    told = dataclasses.replace(found, added=(added,))
+    line = re.sub(r"of [-\d.]+ ± [\d.e-]+ N", "of F", answer(told))
+    rivals_text = "sensor lag (3.4 %) or input dead zone (2.41 %) or "
+    assert line.startswith(f"The model possibly lacks {rivals_text}{FRICTION} (2.36 %): ")
+    assert [rival.effect for rival in added.alternatives] == ["sensor_lag", "input_dead_zone"]
 
 
 @pytest.mark.parametrize(("stiffness", "merged"), [(6100.0, True), (9000.0, False)])
