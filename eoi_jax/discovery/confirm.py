@@ -3,6 +3,7 @@
 import numpy as np
 from jaxtyping import Float
 
+from eoi_jax._checks import counted
 from eoi_jax.data.holds import moves
 from eoi_jax.discovery.input_noise import error_of_input_noise
 from eoi_jax.discovery.rules import RULES
@@ -151,17 +152,38 @@ def or_input(causes: str, runs: Validation) -> str:
 def _times_expected(
     runs: Validation, expected: Float[np.ndarray, " ny"]
 ) -> Float[np.ndarray, " ny"]:
-    """Error of each output over what is expected of a right model; 0 where it is not far more.
+    """Error of each output over what is expected of a right model; 0 where it is not far more."""
+    limits = np.maximum(_limits(runs), _by_chance(runs))
+    exceeds = (expected > 0.0) & (runs.rmse > limits * expected)
+    return np.where(exceeds, runs.rmse, 0.0) / np.where(exceeds, expected, 1.0)
 
-    The noise is read off differences, of which a third are independent, about: of few samples it
-    may come out small by chance.
+
+def _limits(runs: Validation) -> Float[np.ndarray, " ny"]:
+    """Error of each output over its noise, above which it is not noise, were that known."""
+    return np.where(shows_noise(runs), _RULES.noise, _RULES.bounded_noise)
+
+
+def _by_chance(runs: Validation) -> float:
+    """The same that noise which is read off so few samples explains by chance.
+
+    It is read off differences, of which a third are independent, about: it may come out small.
     """
     from scipy.special import fdtri  # only discovery needs it
 
-    limits = np.where(shows_noise(runs), _RULES.noise, _RULES.bounded_noise)
-    by_chance = np.sqrt(fdtri(max(runs.scored, 1), max(runs.scored / 3.0, 1.0), _RULES.by_chance))
-    exceeds = (expected > 0.0) & (runs.rmse > np.maximum(limits, by_chance) * expected)
-    return np.where(exceeds, runs.rmse, 0.0) / np.where(exceeds, expected, 1.0)
+    of_ratio = fdtri(max(runs.scored, 1), max(runs.scored / 3.0, 1.0), _RULES.by_chance)
+    return float(np.sqrt(of_ratio))
+
+
+def unsure_noise(runs: Validation, noise: Float[np.ndarray, " ny"]) -> str:
+    """In words, where only few samples make it possible that an error is noise; or "".
+
+    Args:
+        runs: free runs, whole or in windows, which miss by no more than what they may by chance.
+        noise: of each output [unit of y].
+    """
+    if not np.any((noise > 0.0) & (runs.rmse > _limits(runs) * noise)):
+        return ""
+    return _UNSURE.format(counted(runs.scored, "sample"), _by_chance(runs))
 
 
 def _sentences(runs: Validation, times: Float[np.ndarray, " ny"], conclusion: str) -> list[str]:
@@ -189,6 +211,7 @@ def _pairs(prior: FreeRuns, after: FreeRuns) -> list[tuple[Validation, Validatio
 
 
 _EXCESS = "free runs of {}{} miss by {:.2g} times the noise of its sensor{}"
+_UNSURE = ", which {} tell to within a factor of {:.2g} only"
 _BY_INPUTS = (
     "free runs{} {} the noise of its sensor: noise in the log of the inputs, which scatters about "
     "their levels and did not act, explains as much"

@@ -22,7 +22,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from eoi_jax.data.record import Record
-from eoi_jax.discovery.confirm import excesses
+from eoi_jax.discovery.confirm import excesses, unsure_noise
 from eoi_jax.discovery.input_noise import error_of_input_noise
 from eoi_jax.discovery.judge import Judged
 from eoi_jax.discovery.rules import RULES
@@ -54,7 +54,7 @@ def error_over_noise(model: Judged) -> str:
     """By how much a model misses held-out records where `misses` says nothing, in words.
 
     Of long runs and windows by the larger, those apart that miss by more than noise, as they drift;
-    of the output that misses by most.
+    of the output that misses by most. Where few samples tell the noise, to within what factor.
     """
     runs = [run for run in model.runs if run is not None]
     silent = [run for run in runs if not excesses(run, sensor_noise(run))]
@@ -65,7 +65,9 @@ def error_over_noise(model: Judged) -> str:
         return "no more than noise in the log of the inputs explains"
     times = f"{_most_times(run):.2g} times the noise{'' if run.window is None else ' in windows'}"
     # Runs that exceed it are told apart: they drift. Others may by the error of their starts.
-    return times if silent else f"{times}, as a right model may from starts that are told no better"
+    if silent:
+        return times + unsure_noise(run, sensor_noise(run))
+    return f"{times}, as a right model may from starts that are told no better"
 
 
 def _most_times(run: Validation) -> float:

@@ -583,3 +583,14 @@ def test_noise_that_is_read_off_few_samples_may_be_small_by_chance():
         run = validate(CULTURE, record, initial_samples=4)
         told.append(excesses(replace(run, rmse=np.array([2.2])), np.array([1.0])))
     assert [len(sentences) for sentences in told] == [0, 1]
+
+
+@pytest.mark.parametrize(
+    ("times", "said"), [(1.4, ""), (2.2, ", which 8 samples tell to within a factor of 6.1 only")]
+)
+def test_an_answer_says_where_few_samples_tell_the_noise(answer, times, said, monkeypatch):
+    """Of eight samples the square is told by 2.7 differences: F at 99 % is 6.1 squared."""
+    monkeypatch.setattr(errors_of_models, "sensor_noise", lambda run: np.array([1.0]))
+    run = validate(CULTURE, grown(12, 1), initial_samples=4)
+    few = replace(answer.base, runs=(replace(run, rmse=np.array([times])), None))
+    assert error_over_noise(few) == f"{times} times the noise{said}"
