@@ -282,10 +282,13 @@ def _weak(
         return []
     part = precision[np.ix_(used, used)]
     scale = np.sqrt(np.diagonal(part))
-    values, vectors = np.linalg.eigh(part / np.outer(scale, scale))
+    scaled = part / np.outer(scale, scale)
+    values, vectors = np.linalg.eigh(scaled)
     relative = np.where(used, errors, 0.0) / np.where(theta != 0, np.abs(theta), np.inf)
     covariance = np.zeros_like(precision)
-    covariance[np.ix_(used, used)] = np.linalg.pinv(part, hermitian=True)
+    # Scaled, or the units decide what is rounding.
+    inverse = np.linalg.pinv(scaled, hermitian=True) / np.outer(scale, scale)
+    covariance[np.ix_(used, used)] = inverse
     variances, lone_variances = np.diagonal(covariance), np.zeros(len(theta))
     lone_variances[used] = 1.0 / scale**2  # variances with the others known
     inflated = (variances > inflation * lone_variances) & ((relative >= min_change) | (theta == 0))

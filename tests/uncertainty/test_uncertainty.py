@@ -304,6 +304,18 @@ def test_what_noise_hides_is_told_with_what_is_surer():
     assert sentence.endswith("mass/force and drag/force are surer")
 
 
+def test_what_noise_hides_is_told_whatever_the_units():
+    """Beside a parameter of 1e-10 in its unit, of which the information is 1e22."""
+    at = [PLANT.names.index(name) for name in ("mass", "drag", "force")]
+    pair = np.asarray(PLANT.theta)[at[:2]]
+    covariance, information = np.zeros((2, 3, 3))
+    covariance[np.ix_(at[:2], at[:2])] = np.outer(pair, pair) + np.diag((1e-3 * pair) ** 2)
+    information[np.ix_(at[:2], at[:2])] = np.linalg.inv(covariance[np.ix_(at[:2], at[:2])])
+    covariance[at[2], at[2]], information[at[2], at[2]] = 1e-22, 1e22
+    (sentence,) = uncertainty(refined(covariance=covariance, information=information)).unclear
+    assert sentence.startswith("mass and drag can hardly be told apart, only to within 100%")
+
+
 def test_what_is_known_well_is_not_told_with_what_noise_hides():
     """Mass and drag to 30 %, force to 0.5 %, all of them along one direction."""
     theta = np.asarray(PLANT.theta)
