@@ -329,6 +329,10 @@ class AbstractInputEffect(AbstractEffect):
     def channels(self, plant: Plant) -> tuple[str, ...]:
         return plant.inputs
 
+    def shows(self, seen: Seen) -> bool:
+        """Whether a law of an input alone differs from a line: one of two levels shows no other."""
+        return self.depends_on != "u" or _has_three_levels(seen.u)
+
     @abstractmethod
     def changed(self, at: At, shape: Any) -> Any:
         """The input of the model, which replaces `at.u`."""
@@ -570,6 +574,13 @@ def turns(values: Float[np.ndarray, " samples"], share: float = 0.01) -> bool:
         share: of the samples that must have each sign; fewer are noise around zero.
     """
     return bool(min(np.mean(values > 0), np.mean(values < 0)) > share)
+
+
+def _has_three_levels(values: Float[np.ndarray, " samples"]) -> bool:
+    """Whether a signal takes more than two values, apart from rounding."""
+    rounding = 1e-9 * np.max(np.abs(values), initial=0.0)
+    ends = np.min(values, initial=np.inf), np.max(values, initial=-np.inf)
+    return bool(np.any(np.min([np.abs(values - end) for end in ends], axis=0) > rounding))
 
 
 def _changes_sign(

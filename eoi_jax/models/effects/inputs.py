@@ -229,7 +229,7 @@ class InputQuadratic(AbstractInputEffect):
 
     def shows(self, seen: Seen) -> bool:
         """Of an input of one sign both forms are the same: the odd one stands for both."""
-        return self.odd or turns(seen.u)
+        return super().shows(seen) and (self.odd or turns(seen.u))
 
     def grid(self, seen: Seen) -> Grid:
         size = np.array([0.003, 0.012, 0.05, 0.15, 0.4, 1.0, 4.0, 20.0, 100.0])

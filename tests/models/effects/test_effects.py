@@ -620,6 +620,20 @@ def test_what_a_speed_loses_in_proportion_is_friction_and_no_leak():
     assert leak.shows(replace(seen, kind="temperature"))
 
 
+@pytest.mark.parametrize("levels", [(0.0, 0.03), (-2.0, 2.0), (1.0, 3.0)])
+def test_an_input_of_two_levels_shows_no_law_of_it_alone(levels):
+    """A line goes through both: a gain, with an offset."""
+    laws = (effects.InputDeadZone(), effects.InputSaturation(), effects.InputQuadratic(),
+            effects.InputAsymmetry(), effects.InputYield(), effects.InputSquare())  # fmt: skip
+    two = replace(seen(), u=np.tile(levels, 2500))
+    three = replace(two, u=np.append(two.u[1:], np.mean(levels)))
+    for law in laws:
+        assert not law.shows(two)
+        assert law.shows(three)
+    assert effects.ErrorSaturation().shows(two)  # of the output, too
+    assert effects.ActuatorLag().shows(two)
+
+
 def test_noise_around_zero_is_no_other_sign():
     level = np.r_[np.linspace(5.0, 0.0, 20), np.tile([0.1, -0.1], 8)]
     seen = Seen(level, level, level, True, 0.0, 40.0, 5e-3, 10.0, np.array([1.0]))
