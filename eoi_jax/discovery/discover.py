@@ -207,7 +207,7 @@ def discover(
 
 def _notes_on_channels(discovery: Discovery, fitted: tuple[Record, ...]) -> tuple[str, ...]:
     """Sentences on inputs and outputs that free runs, and the estimate, show as logged wrongly."""
-    notes = noisy_log_notes(discovery)
+    notes = tuple(noisy_log_notes(discovery))
     if (runs := discovery.after) is not None:
         notes = *notes, *late_output_notes(runs.records, runs.residual, runs.outputs)
     if discovery.found.status.fits:
