@@ -391,6 +391,7 @@ def read_file(path: Path, table: DataTable, name: str, options: dict[str, Any]) 
             empty_repeats=table.empty_repeats,
             missing=table.missing,
             late=dict(table.late),
+            impulses=table.impulses,
             **options,
         )
     except ValueError as error:

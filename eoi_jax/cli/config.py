@@ -371,6 +371,7 @@ class DataTable(msgspec.Struct, frozen=True):
             ``[-999, "Inp OutRange"]``, or by column ``{ outdoor = -999 }``.
         late: time by column of outputs that were logged late beside the others [s], as by a second
             logger: ``{ speed = 0.03 }``; negative: early.
+        impulses: inputs whose values are amounts given at the instant of their row, as doses.
         slice: first and last (excluded) sample used.
         parts: ranges of samples by file, each a record of its own, in place of `slice`: where the
             logger was started again, as ``{ "run.csv" = [[0, 3017], [3017, 6024]] }``.
@@ -394,6 +395,7 @@ class DataTable(msgspec.Struct, frozen=True):
     empty_repeats: tuple[str, ...] = ()
     missing: MissingCodes | dict[str, MissingCodes] = ()
     late: dict[str, float] = {}
+    impulses: tuple[str, ...] = ()
     slice: tuple[int, int] | None = None
     parts: dict[str, tuple[tuple[int, int], ...]] = {}
     hold: HoldWord | dict[str, InputHold] = "auto"

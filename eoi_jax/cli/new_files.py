@@ -98,11 +98,14 @@ def planned_inputs(config: Config, model: Plant, file: Path) -> tuple[Record, di
         name: {key: value for key, value in getattr(table, name).items() if key in columns}
         for name in ("scale", "units", "unwrap")
     }
-    repeats = tuple(key for key in table.empty_repeats if key in columns)
+    chosen = {
+        name: tuple(key for key in getattr(table, name) if key in columns)
+        for name in ("empty_repeats", "impulses")
+    }
     if isinstance(table.missing, dict):
         options["missing"] = {key: code for key, code in table.missing.items() if key in columns}
     read = {"inputs": inputs, "outputs": (table.time,), "references": (), "burn_in": 0.0}
-    read |= {"mask_faults": False, "empty_repeats": repeats, "late": {}}
+    read |= {"mask_faults": False, "late": {}, **chosen}
     table = msgspec.structs.replace(table, **read, **options)
     record = read_file(file, table, "data", {"hold": hold})
     gaps = np.flatnonzero(~record.input_valid)

@@ -18,6 +18,7 @@ from eoi_jax.cli.terminal import shell_word
 from eoi_jax.data.channel import Channel
 from eoi_jax.data.column_names import short_names
 from eoi_jax.data.column_roles import SMOOTH, hold_of_entries
+from eoi_jax.data.impulses import SINGLE_ROWS
 from eoi_jax.data.inspection import USED_AS_MEASURED, Inspection, InspectionSettings
 from eoi_jax.data.readers.long_form import stacked_topics
 from eoi_jax.data.record import Record
@@ -379,6 +380,7 @@ def _data_lines(
         '# hold = "zero"                # "zero": inputs held by a converter; "linear"; "smooth";',
         '                               # or by column: { heating = "zero", outdoor = "linear" }',
         *_held_lines(inspection, inputs),
+        *_impulse_lines(inspection, inputs),
         "# burn_in = 0.0                 # time at the start that is not scored [s]",
         "# mask_faults = true            # samples that leave their course alone are not scored",
         "",
@@ -427,6 +429,14 @@ def _held_lines(inspection: Inspection, inputs: Sequence[str]) -> list[str]:
     ]
 
 
+def _impulse_lines(inspection: Inspection, inputs: Sequence[str]) -> list[str]:
+    """Inputs that may be amounts given at the instant of their row, to be declared as such."""
+    notes = {channel.name: " ".join(channel.notes) for channel in inspection.channels}
+    names = [name for name in inputs if SINGLE_ROWS in notes[name]]
+    line = f"# impulses = {_list(names)}  # amounts given at the instant of their row, as doses?"
+    return [line] if names else []
+
+
 def _divided(
     files: Sequence[str], spans: Sequence[Sequence[tuple[int, int]]]
 ) -> tuple[str, tuple[str, ...]]:
@@ -471,17 +481,16 @@ def _time_lines(inspection: Inspection) -> list[str]:
 
 
 def _option_lines() -> str:
-    return "\n".join(
-        [
-            "# Gains and filter are chosen from the record; to set them:",
-            "# [lowpass]",
-            "# cutoff = 30.0                # [rad/s]",
-            "#",
-            "# [discover]",
-            '# effects = ["coulomb_friction", "cubic_stiffness"]   # default: all that fit',
-            "",
-        ]
-    )
+    lines = [
+        "# Gains and filter are chosen from the record; to set them:",
+        "# [lowpass]",
+        "# cutoff = 30.0                # [rad/s]",
+        "#",
+        "# [discover]",
+        '# effects = ["coulomb_friction", "cubic_stiffness"]   # default: all that fit',
+        "",
+    ]
+    return "\n".join(lines)
 
 
 def _controller_lines(reference: str, symbols: _Symbols) -> str:

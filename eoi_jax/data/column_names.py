@@ -268,6 +268,20 @@ _SHOWN_END = {"C": "°C", "kt": "kn"}
 _COUNTING = ("A", "C", "N", "V")  # sensor A, B, C; number N: the word must be the one before
 
 
+_PER_TIME = re.compile(
+    r"(/|\bper\b)\s*(ms|s|sec|min|h|hr|d|day)(?![a-z])|\b(ms|s|min|h|d)\s*(⁻¹|\^?-1)"
+)
+
+
+def is_per_time(unit: str) -> bool:
+    """Whether a unit is one per time, as that of a rate: ``mg/h``.
+
+    Args:
+        unit: as a file gives it; empty if it gives none.
+    """
+    return bool(_PER_TIME.search(unit))
+
+
 def unit_of_name(name: str) -> str:
     """The unit at the end of a name without brackets: ``voltage_V``, ``speed rad/s``; or nothing.
 

@@ -16,6 +16,7 @@ from eoi_jax.data.column_names import (
     separate_drives,
     separate_references,
 )
+from eoi_jax.data.impulses import single_row_notes
 from eoi_jax.data.input_holds import STAIRCASE
 from eoi_jax.data.readers.table import Table
 from eoi_jax.data.sparse_inputs import between_entries, has_entries, is_seldom
@@ -118,6 +119,8 @@ def as_input(
     stamps = numbers[clock.column] if clock.column else np.arange(len(values), dtype=float)
     if np.all(np.diff(stamps) > 0):
         between_entries(stamps, values[:, None], (channel.name,), "auto", seldom)
+        units = {channel.name: channel.unit}
+        seldom += single_row_notes(stamps, values[:, None], [channel.name], units)
     others = (note for note in channel.notes if RATE not in note)
     channel = replace(channel, notes=(*others, *seldom))
     # The differences of a held signal measure its jumps, not its noise.

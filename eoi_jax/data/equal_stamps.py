@@ -141,7 +141,8 @@ def _refuse(
         f"{stamps[i]} s at index {i} and at index {k}",
         "If the clock is too coarse, or is put back at the end of daylight saving time, give "
         "a sample period in its place (`sample_period`, or `Record.from_period`). Of "
-        "replicates at one instant give the means, or each series as a record of its own.",
+        "replicates at one instant give the means, or each series as a record of its own; of doses "
+        "name the input in `impulses`.",
     )
 
 

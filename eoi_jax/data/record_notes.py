@@ -4,6 +4,7 @@ import re
 from collections.abc import Sequence
 
 from eoi_jax._checks import counted
+from eoi_jax.data.impulses import SINGLE_ROWS
 from eoi_jax.data.input_holds import HOLD_TAKEN
 from eoi_jax.data.record import Record
 from eoi_jax.data.repeats import REPEATS
@@ -30,8 +31,11 @@ def record_notes(records: Sequence[Record]) -> list[str]:
     return [_sentence(notes) for notes in alike.values()]
 
 
-def repeating_outputs(records: Sequence[Record]) -> list[str]:
-    """The sentence of each output that repeats its last value until the next one comes.
+def biasing_notes(records: Sequence[Record]) -> list[str]:
+    """The notes of records on what biases a fit, and is only known to who made the files.
+
+    These are on outputs that repeat their last value until the next one comes, and on inputs that
+    may be amounts.
 
     Args:
         records: as they were read.
@@ -40,7 +44,7 @@ def repeating_outputs(records: Sequence[Record]) -> list[str]:
         f"{record.name}: {note.rstrip('.')}"
         for record in records
         for note in record.notes
-        if REPEATS in note
+        if REPEATS in note or SINGLE_ROWS in note
     ]
 
 

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.lib import format as npy
 
 from eoi_jax.data.readers.limits import Allowance
+from eoi_jax.data.readers.table import Columns, Table, add_columns
 
 
 def read_arrays(path: Path, allowance: Allowance) -> dict[str, np.ndarray | None]:
@@ -31,6 +32,29 @@ def read_arrays(path: Path, allowance: Allowance) -> dict[str, np.ndarray | None
     with ZipFile(path) as archive:
         members = [member for member in archive.infolist() if not member.is_dir()]
         return {member.filename.removesuffix(".npy"): _array(archive, member) for member in members}
+
+
+def read_npz(path: Path, allowance: Allowance) -> Table:
+    """The columns of an archive of arrays.
+
+    Args:
+        path: of the file.
+        allowance: bytes that the file may unpack to.
+
+    Raises:
+        ValueError: those of `read_arrays`, or nothing but Python objects.
+    """
+    columns: Columns = {}
+    notes: list[str] = []
+    objects: dict[str, str] = {}
+    for key, values in read_arrays(path, allowance).items():
+        if values is None:  # reading it would run code from the file
+            objects[key] = f"`{key}` holds Python objects; save it as an array of numbers."
+        else:
+            add_columns(columns, notes, key, values)
+    if objects and not columns:
+        raise ValueError(" ".join(objects.values()))
+    return Table(columns, notes=tuple(notes), objects=objects)
 
 
 def _array(archive: ZipFile, member: Any) -> np.ndarray | None:

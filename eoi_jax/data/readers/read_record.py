@@ -17,9 +17,15 @@ import numpy as np
 
 from eoi_jax._checks import check, check_choice, check_kind, check_positive, counted, printable
 from eoi_jax.data.column_names import in_other_units
+from eoi_jax.data.impulses import (
+    single_row_notes,
+    with_impulses,
+    without_amounts,
+    zero_hold_of_impulses,
+)
 from eoi_jax.data.input_holds import HoldArgument, hold_text, read_hold
 from eoi_jax.data.late_outputs import without_lateness
-from eoi_jax.data.readers.archive import read_arrays
+from eoi_jax.data.readers.archive import read_npz
 from eoi_jax.data.readers.conversions import Scale, compared_columns, scaled_columns
 from eoi_jax.data.readers.delimited import line_of, read_text
 from eoi_jax.data.readers.excel import read_excel
@@ -66,6 +72,7 @@ def read_record(
     empty_repeats: str | int | Sequence[str | int] = (),
     missing: Codes | Mapping[str, Codes] | Mapping[int, Codes] = (),
     late: Mapping[str, Real] | Mapping[int, Real] | None = None,
+    impulses: str | int | Sequence[str | int] = (),
 ) -> Record:
     """A record from named columns of a file.
 
@@ -116,6 +123,10 @@ def read_record(
         late: ``{output: time}`` by which a column was logged late beside the others [s], as by a
             second logger or a clock of its own; negative: early. It is moved by that, and what
             comes from beyond the ends of the record is missing.
+        impulses: inputs whose values are amounts given at the instant of their row, such as doses:
+            each becomes a rate, the amount over the sample period, for the one step behind its row,
+            in the unit of the column per unit of time. Their hold is zero, and an empty cell is no
+            amount.
 
     Returns:
         The record, with `notes` on the changes made to the data.
@@ -124,10 +135,11 @@ def read_record(
         ValueError: a file that is missing, of an unknown kind or of another kind than its name
             says; a column that is unknown, not numeric or of a different length; no stamps and no
             sample period; a `scale`, `units`, `unwrap`, `renames`, `empty_repeats`, `missing` or
-            `late` for a column that is not read; a code of `missing` that is no finite number and
-            no word; a period that is not positive or is smaller than the range of its column; a
-            time of `late` as long as the record; a file that unpacks to more than `max_gigabytes`;
-            and the errors of `Record`.
+            `late` for a column that is not read; one of `impulses` that is no input, or has another
+            hold than zero; none of the other inputs beside them; a code of `missing` that is no
+            finite number and no word; a period that is not positive or is smaller than the range of
+            its column; a time of `late` as long as the record; a file that unpacks to more than
+            `max_gigabytes`; and the errors of `Record`.
     """
     path = Path(path)
     table = read_table(path, max_gigabytes, sheet)
@@ -145,29 +157,28 @@ def read_record(
     rows = _rows(slice, count := len(selected[y_columns[0]]))
     if clock is not None:
         _check_stamps(path, table, clock, selected[clock], rows)
-    new_names = _options_by_column("renames", renames, selected)
+        if clock not in factors:
+            _check_seconds(clock, table, selected[clock])
     unit_names = _options_by_column("units", units, selected)
-    labels = {key: new_names.get(key, key) for key in selected}
-    if isinstance(hold, Mapping):
-        hold = {labels[key]: hold[key] for key in _options_by_column("hold", hold, selected)}
-    if clock is not None and clock not in factors:
-        _check_seconds(clock, table, selected[clock])
+    labels = {key: key for key in selected} | _options_by_column("renames", renames, selected)
     stamps = float(sample_period or 0) * np.arange(count) if clock is None else selected[clock]
     hints = [*_date_notes(clock, table, selected, rows, clock in factors), *hints]
     signals, notes = _signals(selected, u_columns + y_columns, stamps, rows, unwrap, empty_repeats)
+    at_once, u_names = _column_names("impulses", impulses), [labels[key] for key in u_columns]
+    signals, amounts = without_amounts(signals, u_columns, at_once, notes)
+    notes += single_row_notes(stamps[rows], signals, u_columns, table.units)
+    hold = zero_hold_of_impulses(_renamed(hold, labels), u_names, [u_names[j] for j in amounts])
     record = Record(
         stamps[rows], signals[:, : len(u_columns)], signals[:, len(u_columns) :],
-        _stem(path) if name is None else name,
-        input_names=[labels[key] for key in u_columns],
-        output_names=[labels[key] for key in y_columns],
+        _stem(path) if name is None else name, input_names=u_names, mask_faults=mask_faults,
+        output_names=[labels[key] for key in y_columns], hold=hold, burn_in=burn_in,
         units={"time" if key == clock else labels[key]: unit for key, unit in unit_names.items()},
-        hold=hold, burn_in=burn_in, mask_faults=mask_faults,
     )  # fmt: skip
     record = _moved(record, late, {key: labels[key] for key in y_columns})
     keys = compared_columns((*u_columns, *y_columns), scales, unit_names, table.units)
-    hints += [*hold_notes, *notes]
-    record = _with_file_units(record, " ".join(hints), {key: labels[key] for key in keys}, table)
-    return _with_unit_of_time(record, clock, table, factors.get(clock or "", 1.0))
+    record._assign({"notes": (*record.notes, *hints, *hold_notes, *notes)})
+    record = _with_file_units(record, {key: labels[key] for key in keys}, table, clock, factors)
+    return with_impulses(record, stamps[rows], amounts)
 
 
 def _moved(record: Record, late: Mapping[Any, Any] | None, labels: Mapping[str, str]) -> Record:
@@ -207,6 +218,13 @@ def _declared(table: Table) -> tuple[dict[str, float], dict[str, str]]:
     return factors, {key: table.units[key] for key in channels if table.units.get(key)}
 
 
+def _renamed(hold: HoldArgument, labels: Mapping[str, str]) -> HoldArgument:
+    """A hold by column as one by the names of these in the record."""
+    if not isinstance(hold, Mapping):
+        return hold
+    return {labels[key]: word for key, word in _options_by_column("hold", hold, labels).items()}
+
+
 def _declared_hold(table: Table, hold: HoldArgument) -> tuple[HoldArgument, list[str]]:
     """The hold that the caller gives, else that of the file, if it says one, with a note."""
     if hold != "auto" or not table.holds:
@@ -221,24 +239,25 @@ def _limits(table: Table, columns: Iterable[str]) -> list[str]:
     return [note for note in table.notes if note.startswith(starts)]
 
 
-def _with_file_units(record: Record, note: str, labels: Mapping[str, str], table: Table) -> Record:
-    """The record with the units in its file of these columns, whose names in it are `labels`."""
-    record = record._changed(note)
+def _with_file_units(
+    record: Record,
+    labels: Mapping[str, str],
+    table: Table,
+    clock: str | None,
+    factors: Mapping[str, float],
+) -> Record:
+    """The record with the units in its file of these columns, whose names in it are `labels`.
+
+    And with that in which its time counts after `scale`, where its file tells.
+    """
     units = {label: table.units[key] for key, label in labels.items() if table.units.get(key)}
-    record._assign({"file_units": units or None})
-    return record
-
-
-def _with_unit_of_time(record: Record, clock: str | None, table: Table, factor: float) -> Record:
-    """The record with the unit in which its time counts, where its file tells."""
-    if clock is None:
-        return record
-    declared = declared_unit(clock, table.units.get(clock, ""))
-    is_dated = table.columns[clock].dtype.kind in "Mm" if clock in table.columns else False
-    seconds = 1.0 if is_dated else declared[1] if declared else 0.0
-    unit = unit_of_seconds(seconds / factor)
-    record._assign({"file_units": {**(record.file_units or {}), "time": unit}} if unit else {})
-    return record
+    if clock is not None:
+        declared = declared_unit(clock, table.units.get(clock, ""))
+        is_dated = table.columns[clock].dtype.kind in "Mm" if clock in table.columns else False
+        seconds = 1.0 if is_dated else declared[1] if declared else 0.0
+        unit = unit_of_seconds(seconds / factors.get(clock, 1.0))
+        units |= {"time": unit} if unit else {}
+    return record._assign({"file_units": units or None})
 
 
 def _options_by_column(
@@ -584,20 +603,6 @@ def _read_parquet(path: Path, allowance: Allowance) -> Table:
     return Table(columns, notes=tuple(notes))
 
 
-def _read_npz(path: Path, allowance: Allowance) -> Table:
-    columns: Columns = {}
-    notes: list[str] = []
-    objects: dict[str, str] = {}
-    for key, values in read_arrays(path, allowance).items():
-        if values is None:  # reading it would run code from the file
-            objects[key] = f"`{key}` holds Python objects; save it as an array of numbers."
-        else:
-            add_columns(columns, notes, key, values)
-    if objects and not columns:
-        raise ValueError(" ".join(objects.values()))
-    return Table(columns, notes=tuple(notes), objects=objects)
-
-
 _READERS: dict[str, Callable[[Path, Allowance], Table]] = {
     ".csv": read_text,
     ".tsv": read_text,
@@ -609,6 +614,6 @@ _READERS: dict[str, Callable[[Path, Allowance], Table]] = {
     ".mat": read_mat,
     ".h5": read_hdf5,
     ".hdf5": read_hdf5,
-    ".npz": _read_npz,
+    ".npz": read_npz,
     ".xlsx": read_excel,
 }
