@@ -186,7 +186,7 @@ def inspect(
         if len(values) != samples
     ]
     local = clock.column and table.columns[clock.column].dtype.kind == "M"
-    shifts = daylight_saving(numbers[clock.column]) if clock.column and local else []
+    shifts = daylight_saving(table.columns[clock.column]) if clock.column and local else []
     advice = [*shifts, *mixed_tags(table, clock.column)]
     advice += [f"`{at.name}` is no signal: {RATING}." for at in channels if at.why == RATING]
     broken = words_among_numbers(path, stored)

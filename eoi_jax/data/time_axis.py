@@ -425,24 +425,50 @@ def stamped_rows(table: Table) -> tuple[Table, list[str]]:
     return replace(table, columns=columns), [sentence]
 
 
-def daylight_saving(stamps: np.ndarray, hour: float = 3600.0) -> list[str]:
+# First and last day, month first, between which some zone puts its clocks: in the north in March
+# and from the end of September on, in the south in April and from the end of August on.
+_CLOCK_CHANGES = (((3, 8), (4, 10)), ((8, 24), (11, 8)))
+
+
+def daylight_saving(dates: np.ndarray, usual: float = 0.5, last_hour: int = 4) -> list[str]:
     """Where local times leave out an hour or have one twice, as clocks are put forward and back.
 
+    Most spacings must be equal: of uneven ones, as of samples taken by hand, any may be an hour
+    longer. And some zone must change its clocks on that day, which it does at night.
+
     Args:
-        stamps: dates without a time zone, in seconds.
-        hour: by which clocks are put [s].
+        dates: without a time zone, of the type datetime64.
+        usual: share of the spacings that are equal.
+        last_hour: of the night.
     """
-    steps = np.diff(stamps)
-    forward = steps[steps > 0]
-    period = float(np.median(forward)) if forward.size else np.inf
+    hour, steps = np.timedelta64(1, "h"), np.diff(dates)
+    forward = steps[steps > np.timedelta64(0)]
+    if not forward.size:
+        return []
+    period = np.median(forward)
+    is_even = period <= hour and np.mean(forward == period) > usual
     advice = "Give times in UTC, or with their offset (+01:00)."
     sentences = []
     for change, what in ((-hour, "have an hour twice"), (hour, "leave out an hour")):
         rows = np.flatnonzero(steps == period + change) + 1
-        if period <= hour and len(rows) == 1:
+        if (
+            is_even
+            and len(rows) == 1
+            and _clocks_change(dates[rows[0] - 1 : rows[0] + 1], last_hour)
+        ):
             place = f"at row {rows[0]}, counted from 0"
             sentences.append(f"The dates {what} {place}, as with daylight saving time. {advice}")
     return sentences
+
+
+def _clocks_change(dates: np.ndarray, last_hour: int) -> bool:
+    """Whether one of two dates is of a night, up to that hour, in which clocks change."""
+    for date in dates.astype("datetime64[s]").tolist():
+        day = date.month, date.day
+        in_season = any(first <= day <= last for first, last in _CLOCK_CHANGES)
+        if in_season and date.hour < last_hour:
+            return True
+    return False
 
 
 def epoch_unit(values: Float[np.ndarray, " time"]) -> tuple[str, float] | None:

@@ -15,6 +15,7 @@ from eoi_jax.cli import actions, build, config
 from eoi_jax.cli.template import checked, draft
 from eoi_jax.data.column_names import role_of_name, short_names, stem, unit_of_name
 from eoi_jax.data.inspection import Inspection, _band, inspect
+from eoi_jax.data.time_axis import daylight_saving
 
 N = 600
 H = 0.01
@@ -673,6 +674,30 @@ def test_dates_that_are_put_forward_or_back_by_an_hour_are_told(tmp_path, day, m
     path.write_text("\n".join(["date,heating,room", *rows]))
     hints = [line for line in inspect(path).advice if "daylight" in line]
     assert [hint[: len(said or "")] for hint in hints] == ([said] if said else [])
+
+
+@pytest.mark.parametrize(
+    ("first", "minutes"),
+    [
+        ("2025-03-12 08:15", [0, 30, 180, 190, 280, 290, 350, 380, 390, 510, 610, 660]),
+        ("2025-03-30 00:15", [0, 30, 60, 90, 180, 210, 300, 420]),  # by hand, in such a night
+        ("2025-05-11 23:00", [*range(0, 300, 15), *range(345, 600, 15)]),  # in no such night
+        ("2025-03-30 12:00", [*range(0, 300, 15), *range(345, 600, 15)]),  # by day
+    ],
+)
+def test_an_hour_that_no_clock_leaves_out_is_not_told(first, minutes):
+    dates = np.datetime64(first) + np.asarray(minutes).astype("timedelta64[m]")
+    assert not daylight_saving(dates)
+
+
+def test_an_hour_left_out_in_spring_is_told():
+    night = np.datetime64("2025-03-30T00:00") + np.arange(0, 600, 15).astype("timedelta64[m]")
+    local = np.where(
+        night >= np.datetime64("2025-03-30T02:00"), night + np.timedelta64(1, "h"), night
+    )
+    (sentence,) = daylight_saving(local)
+    assert "leave out an hour at row 8" in sentence
+    assert not daylight_saving(night)
 
 
 @pytest.mark.parametrize("kind", ["events", "even entries", "even rows"])

@@ -474,7 +474,7 @@ def _date_notes(
     advice = f"Name the column that has the times: {' or '.join(times)}."
     check(not (twice and times), f"time[{clock}]", "must increase", "days, each several times",
           advice)  # fmt: skip
-    shifts = daylight_saving(stamps)
+    shifts = daylight_saving(dates[clock][rows])
     goes_back = bool(np.any(np.diff(stamps) < 0)) and bool(shifts)
     check(not goes_back, f"time[{clock}]", "must increase", "an hour twice", " ".join(shifts))
     return [*said, *shifts]
