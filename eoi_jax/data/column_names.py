@@ -174,6 +174,15 @@ def role_of_name(name: str) -> str:
     return ""
 
 
+def is_called_rate(name: str) -> bool:
+    """Whether a name has the word rate: of turning, of an infusion, of a feed.
+
+    Args:
+        name: of a column.
+    """
+    return "rate" in _words(name)
+
+
 def is_temperature(name: str, unit: str) -> bool:
     """Whether a column is a temperature, by its unit or a word of its name.
 

@@ -11,6 +11,7 @@ from eoi_jax.data.channel import Channel
 from eoi_jax.data.cleaning import RATE
 from eoi_jax.data.column_names import (
     RATING,
+    is_called_rate,
     rates_samples,
     role_of_name,
     separate_drives,
@@ -92,7 +93,8 @@ def assign_roles(
             undecided[len(first) :], ("output", "there is no evidence of its role")
         )
     separate_drives(roles, {at.name: at.saturated[0][0] for at in channels if at.saturated})
-    separate_references(roles, {channel.name for channel in channels if _is_held(channel)})
+    held = {at.name for at in channels if _is_held(at) or _is_switched(numbers.get(at.name))}
+    separate_references(roles, held)
     roles |= ratings
     return [
         replace(channel, role=roles[channel.name][0], why=roles[channel.name][1])
@@ -124,12 +126,22 @@ def as_input(
     others = (note for note in channel.notes if RATE not in note)
     channel = replace(channel, notes=(*others, *seldom))
     # The differences of a held signal measure its jumps, not its noise.
-    jumps = _is_held(channel) or _by_events(values, clock)
+    jumps = _is_held(channel) or _is_switched(values) or _by_events(values, clock)
     return replace(channel, noise=None) if jumps else channel
 
 
 def _is_held(channel: Channel) -> bool:
     return channel.changes is not None and channel.changes <= STAIRCASE
+
+
+def _is_switched(values: Float[np.ndarray, " time"] | None) -> bool:
+    """Whether a column is zero in more than half of its rows, and goes there from other levels."""
+    if values is None:
+        return False
+    entered = values[np.isfinite(values)]
+    steps, value_range = np.abs(np.diff(entered)), np.ptp(entered) if len(entered) else 0.0
+    is_zero = 2 * int(np.sum(entered == 0.0)) > len(entered)
+    return bool(is_zero and value_range > 0 and steps.max() > _SETTINGS.max_motion * value_range)
 
 
 def hold_of_entries(values: Float[np.ndarray, " time"]) -> str:
@@ -170,7 +182,9 @@ def _role(channel: Channel, values: Float[np.ndarray, " time"], by_events: bool)
     jump = float(steps.max()) / value_range if len(steps) and value_range > 0 else 0.0
     staircase = _is_held(channel)
     name_role = role_of_name(channel.name)
-    called_output = name_role == "output"
+    # A rate is one of turning, which is measured, or that of a pump, which is on and off.
+    is_switched = is_called_rate(channel.name) and _is_switched(values)
+    called_output = name_role == "output" and not is_switched
     if name_role == "input":
         manner = ", and is held between changes" if staircase else ""
         return "input", f"its name says so{manner}"
@@ -179,6 +193,7 @@ def _role(channel: Channel, values: Float[np.ndarray, " time"], by_events: bool)
             jumps = f"jumps by {100 * jump:.0f} % of its range from an entry to the next"
             return "input", f"it has entries where it changes, and {jumps}"
         manner = "is held and jumps" if staircase else "jumps"
+        manner = "is zero in most rows and jumps" if is_switched else manner
         return "input", f"it {manner} by {100 * jump:.0f} % of its range in one sample"
     if called_output:
         return "output", "its name says so"

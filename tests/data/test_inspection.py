@@ -700,6 +700,22 @@ def test_an_hour_left_out_in_spring_is_told():
     assert not daylight_saving(night)
 
 
+@pytest.mark.parametrize("names", [("rate [mg/h]", "conc [mg/L]"), ("infusion rate", "drug")])
+def test_a_rate_that_is_on_and_off_is_an_input_beside_what_decays(tmp_path, names):
+    time = np.array([0, 1, 1.5, 2, 3, 4, 6, 8, 12, 12.5, 13, 14, 16, 20, 24, 24.5, 25, 26, 28, 36])
+    on = np.isin(time, [0, 12, 24, 24.5])
+    since = np.array([np.min((at - [0, 12, 24])[at >= np.array([0, 12, 24])]) for at in time])
+    columns = {"time [h]": time, names[0]: 100.0 * on, names[1]: 7 * since * np.exp(-since)}
+    found = inspect(written(tmp_path / "run.csv", **columns))
+    assert (found.inputs, found.outputs) == (names[:1], names[1:])
+
+
+def test_a_rate_that_is_measured_is_an_output(tmp_path):
+    turned = np.sin(0.05 * np.arange(N)) * (np.arange(N) > 0.6 * N)
+    found = inspect(written(tmp_path / "run.csv", t=np.arange(N), u=np.sign(turned), rate=turned))
+    assert found.outputs == ("rate",)
+
+
 @pytest.mark.parametrize("kind", ["events", "even entries", "even rows"])
 def test_what_is_logged_when_it_changes_is_judged_by_its_entries(tmp_path, kind):
     """A laboratory has entries at even distances, or rows of its own between those of a clock."""
