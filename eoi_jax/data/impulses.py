@@ -176,7 +176,7 @@ def with_impulses(
     return new._assign(_units_of_rates(record, names))
 
 
-def _units_of_rates(record: Record, names: Sequence[str]) -> dict[str, dict[str, str]]:
+def _units_of_rates(record: Record, names: Sequence[str]) -> dict[str, dict[str, str] | None]:
     """The units of a record, by field, with these inputs per unit of time; none is of its file."""
     in_file = dict(record.file_units or {})
     units = {**{name: in_file.pop(name) for name in names if name in in_file}, **record.units}

@@ -369,7 +369,7 @@ def _measured(
             record = _record(time, samples[part], clock.sample_period or 1.0, name)
         except ValueError:  # too few samples for a record
             return channel
-    silent = ("not finite", "Hold", *([RATE] if rows else []))
+    silent = ("not finite", "Hold", *([RATE] if rows or clock.scattered else []))
     notes = tuple(note for note in record.notes if not any(text in note for text in silent))
     piles = tuple((end.level, end.share) for end in saturations(record) if end.channel == name)
     quantum = float(record.quantum[0])
@@ -457,11 +457,12 @@ def _advice(channels: Sequence[Channel], clock: Clock, samples: int, backward: s
         advice += [f"`{channel.name}` is left out: text {channel.why}." for channel in texts[:5]]
     for channel in by_role["input"]:
         if channel.band is not None and clock.sample_period:
+            is_fast = not clock.scattered and (channel.changes or 0.0) > STAIRCASE
             nyquist = 0.5 / clock.sample_period
             if channel.changes is not None and channel.changes * samples < 5:
                 times = counted(round(channel.changes * samples), "time")
                 advice.append(f"`{channel.name}` changes {times} only: little excitation.")
-            elif channel.band > 0.5 * nyquist and channel.changes and channel.changes > STAIRCASE:
+            elif is_fast and channel.band > 0.5 * nyquist:
                 advice.append(
                     f"`{channel.name}` moves up to half the Nyquist frequency: sample faster."
                 )

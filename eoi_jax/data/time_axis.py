@@ -55,6 +55,8 @@ class Clock:
         repeated: number of stamps equal to the previous stamp.
         backwards: number of stamps smaller than the previous stamp, and the index of the first.
         others: further columns that might be the time.
+        scattered: the stamps have no usual spacing: jitter is that of a clock without one, and no
+            spacing is a gap.
     """
 
     column: str | None
@@ -68,6 +70,7 @@ class Clock:
     repeated: int = 0
     backwards: tuple[int, int | None] = (0, None)
     others: tuple[str, ...] = ()
+    scattered: bool = False
 
 
 def declared_unit(column: str, unit: str) -> tuple[str, float] | None:
@@ -272,12 +275,12 @@ def _clock_of(
 ) -> Clock:
     steps = np.diff(stamps)
     forward = steps[steps > 0]
-    period = float(np.median(forward))
+    period, scattered = float(np.median(forward)), False
     if len(forward) == len(steps):
         with suppress(ValueError):  # of pauses that dominate
             grid = uniform_grid(stamps)
-            period = period if grid.scattered else grid.sample_period
-    gaps = forward > GridSettings.gap * period
+            period, scattered = period if grid.scattered else grid.sample_period, grid.scattered
+    gaps = (forward > GridSettings.gap * period) & (not scattered)
     backward = np.flatnonzero(steps < 0)
     regular = forward[~gaps]
     return Clock(
@@ -292,6 +295,7 @@ def _clock_of(
         int(np.sum(steps == 0)),
         (len(backward), int(backward[0]) + 1 if len(backward) else None),
         others,
+        scattered,
     )
 
 
@@ -425,12 +429,20 @@ def stamped_rows(table: Table) -> tuple[Table, list[str]]:
     return replace(table, columns=columns), [sentence]
 
 
-# First and last day, month first, between which some zone puts its clocks: in the north in March
-# and from the end of September on, in the south in April and from the end of August on.
-_CLOCK_CHANGES = (((3, 8), (4, 10)), ((8, 24), (11, 8)))
+@dataclass(frozen=True)
+class ClockChangeSettings:
+    """When local times that leave out an hour, or have one twice, are those of clocks put anew."""
+
+    usual: float = 0.5  # share of the spacings that are equal; of uneven ones any may be an hour
+    last_hour: int = 4  # of the night
+    # First and last day, month first, between which some zone puts its clocks: in the north in
+    # March and from the end of September on, in the south in April and from the end of August on.
+    seasons: tuple = (((3, 8), (4, 10)), ((8, 24), (11, 8)))
 
 
-def daylight_saving(dates: np.ndarray, usual: float = 0.5, last_hour: int = 4) -> list[str]:
+def daylight_saving(
+    dates: np.ndarray, settings: ClockChangeSettings = ClockChangeSettings()
+) -> list[str]:
     """Where local times leave out an hour or have one twice, as clocks are put forward and back.
 
     Most spacings must be equal: of uneven ones, as of samples taken by hand, any may be an hour
@@ -438,15 +450,14 @@ def daylight_saving(dates: np.ndarray, usual: float = 0.5, last_hour: int = 4) -
 
     Args:
         dates: without a time zone, of the type datetime64.
-        usual: share of the spacings that are equal.
-        last_hour: of the night.
+        settings: when clocks change.
     """
     hour, steps = np.timedelta64(1, "h"), np.diff(dates)
     forward = steps[steps > np.timedelta64(0)]
     if not forward.size:
         return []
     period = np.median(forward)
-    is_even = period <= hour and np.mean(forward == period) > usual
+    is_even = period <= hour and np.mean(forward == period) > settings.usual
     advice = "Give times in UTC, or with their offset (+01:00)."
     sentences = []
     for change, what in ((-hour, "have an hour twice"), (hour, "leave out an hour")):
@@ -454,19 +465,19 @@ def daylight_saving(dates: np.ndarray, usual: float = 0.5, last_hour: int = 4) -
         if (
             is_even
             and len(rows) == 1
-            and _clocks_change(dates[rows[0] - 1 : rows[0] + 1], last_hour)
+            and _clocks_change(dates[rows[0] - 1 : rows[0] + 1], settings)
         ):
             place = f"at row {rows[0]}, counted from 0"
             sentences.append(f"The dates {what} {place}, as with daylight saving time. {advice}")
     return sentences
 
 
-def _clocks_change(dates: np.ndarray, last_hour: int) -> bool:
-    """Whether one of two dates is of a night, up to that hour, in which clocks change."""
+def _clocks_change(dates: np.ndarray, settings: ClockChangeSettings) -> bool:
+    """Whether one of two dates is of a night in which some zone changes its clocks."""
     for date in dates.astype("datetime64[s]").tolist():
         day = date.month, date.day
-        in_season = any(first <= day <= last for first, last in _CLOCK_CHANGES)
-        if in_season and date.hour < last_hour:
+        in_season = any(first <= day <= last for first, last in settings.seasons)
+        if in_season and date.hour < settings.last_hour:
             return True
     return False
 

@@ -57,13 +57,16 @@ def _clock_text(inspection: Inspection) -> str:
         return f"time: none; every {clock.sample_period:g} s ({clock.why})"
     period, (low, high) = clock.sample_period, clock.spacing
     scale = "" if clock.factor == 1.0 else f", {clock.factor:g} s per unit"
-    gaps = counted(clock.gaps[0], "gap")
-    lines = [
-        f"time: `{clock.column}`{scale} ({clock.why})",
-        f"  every {period:.6g} s ({1 / period:.6g} Hz) for {clock.duration:.6g} s",
-        f"  stamps {low:.4g} to {high:.4g} s apart, jitter {percent(clock.jitter or 0.0)}",
-        f"  {gaps}, {clock.repeated} repeated, {clock.backwards[0]} backwards",
-    ]
+    counts = f"{clock.repeated} repeated, {clock.backwards[0]} backwards"
+    lines = [f"time: `{clock.column}`{scale} ({clock.why})"]
+    if clock.scattered:
+        lines += [f"  no usual spacing, for {clock.duration:.6g} s", f"  {counts}"]
+    else:
+        lines += [
+            f"  every {period:.6g} s ({1 / period:.6g} Hz) for {clock.duration:.6g} s",
+            f"  stamps {low:.4g} to {high:.4g} s apart, jitter {percent(clock.jitter or 0.0)}",
+            f"  {counted(clock.gaps[0], 'gap')}, {counts}",
+        ]
     if clock.others:
         lines.append(f"  other candidates: {', '.join(clock.others)}")
     return "\n".join(lines)

@@ -336,7 +336,7 @@ def test_a_file_without_a_clock_has_none_in_json_either(tmp_path):
     assert clock.pop("why") == "no column increases from row to row"
     none = {"column": None, "factor": 1.0, "gaps": [0, 0.0], "repeated": 0, "backwards": [0, None]}
     absent = dict.fromkeys(("sample_period", "duration", "spacing", "jitter"))
-    assert json.loads(json.dumps(clock)) == {**none, **absent, "others": []}
+    assert json.loads(json.dumps(clock)) == {**none, **absent, "others": [], "scattered": False}
 
 
 def test_a_wide_file_is_told_in_short(tmp_path):
@@ -698,6 +698,17 @@ def test_an_hour_left_out_in_spring_is_told():
     (sentence,) = daylight_saving(local)
     assert "leave out an hour at row 8" in sentence
     assert not daylight_saving(night)
+
+
+def test_samples_by_hand_have_no_period_and_no_gaps(tmp_path):
+    time = np.array([0, 0.25, 0.5, 0.75, 1, 1.5, 2, 3, 4, 6, 8, 10, 12, 16, 24])
+    columns = {"time [h]": time, "u": np.arange(15) % 3, "y": np.exp(-0.2 * time)}
+    found = inspect(written(tmp_path / "run.csv", **columns))
+    text = str(found)
+    assert "  no usual spacing, for 86400 s" in text
+    assert "on a grid of 900 s" in text
+    assert not any(word in text for word in ("  every", "jitter", "gap", "sample faster"))
+    assert (found.clock.scattered, found.clock.gaps) == (True, (0, 0.0))
 
 
 @pytest.mark.parametrize("names", [("rate [mg/h]", "conc [mg/L]"), ("infusion rate", "drug")])
