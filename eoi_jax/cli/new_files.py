@@ -10,6 +10,7 @@ import numpy as np
 from eoi_jax._checks import check
 from eoi_jax.cli.build import read_file, records_of_table
 from eoi_jax.cli.config import Config, DataTable
+from eoi_jax.data.cleaning import SHORTEST
 from eoi_jax.data.inspection import inspect
 from eoi_jax.data.readers.conversions import factor_and_offset
 from eoi_jax.data.readers.missing import codes_by_column, without_missing
@@ -92,6 +93,7 @@ def planned_inputs(config: Config, model: Plant, file: Path) -> tuple[Record, di
         hold = {key: word for key, word in hold.items() if key in inputs}
     elif config.controller is not None and hold == "auto":
         hold = "zero"
+    _check_rows(table, file)
     measured = _first_outputs(table, model, file)
     columns = (table.time, *inputs)
     options = {
@@ -150,6 +152,16 @@ def _parts(path: str, table: DataTable) -> tuple[tuple[int, int], ...]:
         return ()
     parts = parts_between_restarts(stamps)
     return parts if parts != ((0, len(stamps)),) else ()
+
+
+def _check_rows(table: DataTable, file: Path) -> None:
+    """A plan of few rows is one that more rows say as well: a record needs some."""
+    stamps = read_table(file, table.max_gigabytes, table.sheet).columns.get(table.time or "")
+    count = SHORTEST if stamps is None else len(stamps)
+    rule = f"must have at least {SHORTEST} rows"
+    advice = "Add rows between these, with the inputs that act there: what was set stays as it is, "
+    advice += "what is given at an instant (`impulses`) is 0."
+    check(count >= SHORTEST, "FILE", rule, f"{count} in {file}", advice)
 
 
 def _first_outputs(table: DataTable, model: Plant, file: Path) -> dict[str, float]:

@@ -151,6 +151,15 @@ def planned(folder: Path, path: Path, columns: tuple[int, ...] = (0, 1)) -> np.n
     return np.array(lines[1:], float)
 
 
+def test_a_plan_of_few_rows_is_refused_with_what_to_add(folder, tmp_path):
+    planned(folder, path := tmp_path / "plan.csv")
+    path.write_text("\n".join(path.read_text().splitlines()[:6]))
+    refused = called("predict", "runs/good", path, "--initial", "level=0.3", "--output", tmp_path)
+    assert refused.exit_code == 2
+    assert "`FILE` must have at least 8 rows, got 5 in" in refused.output
+    assert "Add rows between these, with the inputs that act there" in refused.output
+
+
 def test_planned_inputs_without_outputs_are_predicted_from_a_given_start(folder, tmp_path):
     table = planned(folder, tmp_path / "plan.csv")
     said = called("predict", "runs/good", tmp_path / "plan.csv", "--initial", "level=0.3",
