@@ -1,7 +1,7 @@
 """What was masked, dropped or resampled in records, in few sentences however many records."""
 
 import re
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 from eoi_jax._checks import counted
 from eoi_jax.data.impulses import SINGLE_ROWS
@@ -22,13 +22,7 @@ def record_notes(records: Sequence[Record]) -> list[str]:
         Sentences such as ``"run 1: 7 of 360 samples are not finite (`h` 7): masked; alike in run
         2"``.
     """
-    alike: dict[str, dict[str, str]] = {}  # the note of each record, by the note without numbers
-    for record in records:
-        for note in record.notes:
-            if not note.startswith(HOLD_TAKEN):
-                form = re.sub(r"[\d.]+(e[+-]?\d+)?", "#", note)
-                alike.setdefault(form, {}).setdefault(record.name, note.rstrip("."))
-    return [_sentence(notes) for notes in alike.values()]
+    return _alike(records, lambda note: not note.startswith(HOLD_TAKEN))
 
 
 def biasing_notes(records: Sequence[Record]) -> list[str]:
@@ -40,12 +34,17 @@ def biasing_notes(records: Sequence[Record]) -> list[str]:
     Args:
         records: as they were read.
     """
-    return [
-        f"{record.name}: {note.rstrip('.')}"
-        for record in records
-        for note in record.notes
-        if REPEATS in note or SINGLE_ROWS in note
-    ]
+    return _alike(records, lambda note: REPEATS in note or SINGLE_ROWS in note)
+
+
+def _alike(records: Sequence[Record], chosen: Callable[[str], bool]) -> list[str]:
+    """The chosen notes; those that differ in numbers alone are one sentence."""
+    alike: dict[str, dict[str, str]] = {}  # the note of each record, by the note without numbers
+    for record in records:
+        for note in filter(chosen, record.notes):
+            form = re.sub(r"[\d.]+(e[+-]?\d+)?", "#", note)
+            alike.setdefault(form, {}).setdefault(record.name, note.rstrip("."))
+    return [_sentence(notes) for notes in alike.values()]
 
 
 def _sentence(notes: dict[str, str]) -> str:

@@ -12,6 +12,7 @@ import eoi_jax as eoi
 from eoi_jax.cli.template import draft
 from eoi_jax.data.column_names import is_per_time
 from eoi_jax.data.impulses import SINGLE_ROWS
+from eoi_jax.data.record_notes import biasing_notes
 
 # Rows by hand, with a dose of 200 mg each 8 h; the decay is exact: V = 10 L, k = 0.3/h.
 TIMES = [0.5, 1, 2, 4, 6, 10, 12, 14, 20, 23, 24.25, 25, 26, 28, 32, 36]
@@ -150,3 +151,11 @@ def test_a_unit_per_time_is_that_of_a_rate(unit: str) -> None:
 @pytest.mark.parametrize("unit", ["mg", "", "mg/L", "min", "kg/m3", "mol/hl"])
 def test_a_unit_of_an_amount_is_none(unit: str) -> None:
     assert not is_per_time(unit)
+
+
+def test_a_fit_says_it_once_of_records_that_are_alike(tmp_path: Path) -> None:
+    paths = [table(tmp_path / f"{name}.csv", TIMES) for name in "ab"]
+    notes = biasing_notes([read(path, impulses=(), hold="zero") for path in paths])
+    assert len(notes) == 1
+    assert notes[0].startswith("a: `amt [mg]` is not zero in single rows")
+    assert notes[0].endswith("; alike in b")
