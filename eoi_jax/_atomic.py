@@ -20,7 +20,7 @@ import re
 import shutil
 import sys
 import tempfile
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
@@ -49,14 +49,26 @@ def make_draft(goal: Path) -> Path:
     return Path(tempfile.mkdtemp(suffix=_SUFFIX, prefix=f".{goal.name}-", dir=goal.parent))
 
 
-def write_folder(goal: Path, fill: Callable[[Path], None], keep: bool = False) -> None:
-    """Write a folder atomically; an existing one is replaced at the end.
+def write_folder(
+    goal: Path,
+    fill: Callable[[Path], None],
+    former: Callable[[Path], Iterable[str]] = lambda _: (),
+    keep: bool = False,
+) -> None:
+    """Write a folder atomically; files that nobody wrote here stay in it.
 
     Args:
-        goal: the folder; missing parent folders are made.
+        goal: the folder, or a link to it; missing parent folders are made.
         fill: function that writes into the empty folder that is its argument.
+        former: function of the folder as it stands: names in it that are replaced or removed. All
+            others stand in the new folder, too.
         keep: keep a folder that is not empty and that another process made meanwhile.
+
+    Raises:
+        OSError: it cannot be written; `FileExistsError`: it is a file, or a file in it that is not
+            a former one has the name of a new one.
     """
+    goal = goal.resolve() if goal.is_symlink() else goal
     missing = [folder for folder in goal.parents if not folder.exists()]
     goal.parent.mkdir(parents=True, exist_ok=True)
     with tidied(lambda: _remove_empty(missing)), _drafted(goal) as draft:
@@ -65,6 +77,13 @@ def write_folder(goal: Path, fill: Callable[[Path], None], keep: bool = False) -
         fill(new)
         for path in new.rglob("*"):
             fsync(path)
+        if goal.exists() and not keep:
+            if not goal.is_dir():
+                raise FileExistsError(errno.EEXIST, "a file where a folder is to be written", goal)
+            replaced = set(former(goal))
+            for path in goal.iterdir():
+                if path.name not in replaced:
+                    link(path, new / path.name)
         fsync(new)
         if keep:
             with suppress(FileExistsError):
@@ -75,6 +94,34 @@ def write_folder(goal: Path, fill: Callable[[Path], None], keep: bool = False) -
         elif not goal.exists():
             new.rename(goal)
         fsync(goal.parent)
+
+
+def link(source: Path, target: Path) -> None:
+    """Give a file, or all files of a folder, a second name; a copy where the system has no links.
+
+    Args:
+        source: a file, a folder or a symbolic link, which stays one.
+        target: its second path.
+
+    Raises:
+        FileExistsError: there is something.
+    """
+    if target.exists() or target.is_symlink():
+        raise FileExistsError(errno.EEXIST, "a file that another one would replace", target)
+    if source.is_symlink():
+        target.symlink_to(os.readlink(source), target_is_directory=source.is_dir())
+    elif source.is_dir():
+        shutil.copytree(source, target, symlinks=True, copy_function=_link_file)
+    else:
+        _link_file(source, target)
+
+
+def _link_file(source: str | Path, target: str | Path) -> None:
+    try:
+        os.link(source, target)
+    except OSError:
+        shutil.copy2(source, target)
+        fsync(Path(target))
 
 
 def _remove_empty(folders: list[Path]) -> None:

@@ -1,5 +1,6 @@
 """Files and folders appear whole or not at all, whenever the process that writes them is killed."""
 
+import os
 import signal
 import subprocess
 import sys
@@ -35,7 +36,10 @@ def killed(folder: Path, patch: str, act: str) -> None:
     assert done.returncode == -signal.SIGKILL, done.stderr
 
 
-REPLACE = "drafts.write_folder(folder / 'run', lambda new: (new / 'content').write_text('new'))"
+REPLACE = (
+    "fill = lambda new: (new / 'content').write_text('new')\n"
+    "drafts.write_folder(folder / 'run', fill, lambda folder: ['content'])"
+)
 # Where a process dies, and what stands then: at no moment nothing.
 MOMENTS = {
     "while it fills": ("drafts.fsync = kill", "old"),
@@ -52,12 +56,14 @@ def test_a_folder_that_is_replaced_stands_at_every_moment(tmp_path: Path, moment
     patch, standing = MOMENTS[moment]
     (tmp_path / "run").mkdir()
     put("old")(tmp_path / "run")
+    (tmp_path / "run" / "mine").write_text("mine")
     killed(tmp_path, patch, REPLACE)
     assert (tmp_path / "run" / "content").read_text() == standing
     assert len(names(tmp_path)) == 2
     write_folder(tmp_path / "next", put("next"))
     assert names(tmp_path) == ["next", "run"]
     assert (tmp_path / "run" / "content").read_text() == standing
+    assert (tmp_path / "run" / "mine").read_text() == "mine"
 
 
 def test_without_an_exchange_the_next_run_puts_back_what_was_moved_away(tmp_path: Path):
@@ -184,3 +190,44 @@ def test_a_folder_that_is_not_filled_leaves_none_above_it(tmp_path: Path):
     assert names(tmp_path) == []
     write_folder(tmp_path / "a" / "b" / "run", put("x"))
     assert names(tmp_path / "a" / "b") == ["run"]
+
+
+@pytest.mark.parametrize("linked", [True, False])
+def test_what_is_not_of_a_former_run_stays_in_a_folder(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, linked: bool
+):
+    def refuse(*_: object) -> None:
+        raise OSError("no hard links")
+
+    if not linked:
+        monkeypatch.setattr(os, "link", refuse)
+    run = tmp_path / "run"
+    (run / "records").mkdir(parents=True)
+    (run / "records" / "one.csv").write_text("1")
+    (run / "two.csv").write_text("2")
+    (run / "latest").symlink_to("two.csv")
+    (run / "former").touch()
+    write_folder(run, put("new"), lambda folder: ["former", "content"])
+    assert names(run) == ["content", "latest", "records", "two.csv"]
+    assert (run / "records" / "one.csv").read_text() == "1"
+    assert (run / "latest").is_symlink()
+    assert (run / "latest").read_text() == "2"
+    assert names(tmp_path) == ["run"]
+
+
+def test_a_folder_takes_the_place_of_no_file(tmp_path: Path):
+    put("mine")(tmp_path)
+    with pytest.raises(FileExistsError, match="a file where a folder is to be written"):
+        write_folder(tmp_path / "content", put("new"))
+    with pytest.raises(FileExistsError, match="a file that another one would replace"):
+        write_folder(tmp_path, put("new"))
+    assert names(tmp_path) == ["content"]
+    assert (tmp_path / "content").read_text() == "mine"
+
+
+def test_a_link_to_a_folder_stays_one(tmp_path: Path):
+    (tmp_path / "disk").mkdir()
+    (tmp_path / "run").symlink_to("disk")
+    write_folder(tmp_path / "run", put("new"))
+    assert (tmp_path / "run").is_symlink()
+    assert names(tmp_path / "disk") == ["content"]

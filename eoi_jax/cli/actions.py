@@ -3,7 +3,6 @@
 An action prints nothing: it returns an `Outcome`, which `terminal.show` prints.
 """
 
-import shutil
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -13,10 +12,10 @@ import msgspec
 import numpy as np
 
 from eoi_jax import cli
-from eoi_jax._atomic import write_file, write_folder
+from eoi_jax._atomic import link, write_file, write_folder
 from eoi_jax._checks import check, counted, is_or_are
 from eoi_jax._status import Status
-from eoi_jax.cli import build, html_report, run_folder
+from eoi_jax.cli import build, html_report, run_files, run_folder
 from eoi_jax.cli.built_in import built_in, built_in_names
 from eoi_jax.cli.config import Config, IdentifyTable, load
 from eoi_jax.cli.signals import ExitCode
@@ -59,6 +58,9 @@ _LOST = (
     "free runs of the estimate predict {} of the held-out records worse than a constant: do not "
     "trust it. `eoi refine` fits free runs, from the nominal values too where these are better"
 )
+# Built-in configs, where none is given.
+_EXAMPLES = {"identify": "pendulum", "discover": "hidden_friction", "refine": "pendulum",
+             "sweep": "pendulum_sweep"}  # fmt: skip
 # Statuses of a discovery whose results are written.
 _ANSWERS = ("complete", "partial", "nothing_missing", "unexplained")
 
@@ -89,7 +91,7 @@ def identify(
     """
     changes = {} if passes is None else {"passes": passes}
     changes |= {"recursive": True} if recursive else {}
-    source, job = _prepare(config, "pendulum", data, output, progress, changes)
+    source, job = _prepare("identify", config, data, output, progress, changes)
     with run_folder.quiet_records():
         result, validation = _identify(job, progress)
     notes = [*_example_notes(config), *_hold_notes(job.settings), *record_notes(job.held_out)]
@@ -152,7 +154,7 @@ def discover(
     Raises:
         ValueError: the config or the data are invalid.
     """
-    source, job = _prepare(config, "hidden_friction", data, output, progress)
+    source, job = _prepare("discover", config, data, output, progress)
     with run_folder.quiet_records():
         result = _discover(job, progress)
         result = replace(result, notes=(*result.notes, *_example_notes(config)))
@@ -188,7 +190,7 @@ def refine(
     Raises:
         ValueError: the config or the data are invalid.
     """
-    source, job = _prepare(config, "pendulum", data, output, progress)
+    source, job = _prepare("refine", config, data, output, progress)
     with run_folder.quiet_records():
         start, start_run = _identify(job, progress)
         if start.status.code == "no_data" or (start.common_factors and not start.status.ok):
@@ -240,7 +242,7 @@ def sweep(
     Raises:
         ValueError: the config or the data are invalid.
     """
-    source, job = _prepare(config, "pendulum_sweep", data, output, None)
+    source, job = _prepare("sweep", config, data, output, None)
     folder = output / job.settings.name
     with run_folder.quiet_records():
         result = sweeps.sweep.sweep(
@@ -299,6 +301,7 @@ def inspect(
     """
     folder = output / f"{_stem(path)}.inspect"
     run_folder.check_place(folder, "file")
+    run_files.check_replaceable(folder, "inspect")
     if progress is not None:
         progress("reading", 0, None, "")
     size = MAX_GIGABYTES if max_gigabytes is None else max_gigabytes
@@ -306,9 +309,9 @@ def inspect(
     if progress is not None:
         progress("drawing", 0, None, "")
     summary, text = inspection.summary(), str(inspection)
-    write_folder(
-        folder, lambda draft: run_folder.write_inspection(draft, inspection, summary, text)
-    )
+    parts = inspection, summary, text
+    write = run_folder.write_inspection
+    write_folder(folder, lambda draft: write(draft, *parts), run_files.files_of_run)
     return Outcome(summary, text, folder)
 
 
@@ -417,8 +420,8 @@ def _part(text: str) -> tuple[int, int]:
 
 
 def _prepare(
+    command: str,
     config: Path | None,
-    example: str,
     data: Path | None,
     output: Path,
     progress: ProgressCallback | None,
@@ -426,12 +429,13 @@ def _prepare(
 ) -> tuple[Path, run_folder.Job]:
     """The path of the config, and its model and records."""
     jax_setup.configure()
-    source = built_in(example) if config is None else config_file(config)
+    source = built_in(_EXAMPLES[command]) if config is None else config_file(config)
     settings = load(source)
     if changes:
         table = msgspec.structs.replace(settings.identify, **changes)
         settings = msgspec.structs.replace(settings, identify=table)
     run_folder.check_place(output / settings.name, "name")
+    run_files.check_replaceable(output / settings.name, command)
     if progress is not None:
         progress("reading", 0, None, "")
     return source, run_folder.job(settings, run_folder.folder_of(source), data)
@@ -584,31 +588,35 @@ def _validate(result: Identification | Refinement, job: run_folder.Job) -> Valid
 def _write_run(folder: Path, write: Callable[[Path], None]) -> str:
     """Write the files of a run and its report into a folder, all or nothing.
 
-    The run of another command that stood there is kept beside it.
+    The run of another command that stood there is kept beside it, and files that are of no run stay
+    in the folder.
 
     Returns:
-        A sentence on the run that stood there, where it was another one; else empty.
+        Sentences on the run that stood there, where it was another one, and on such files; or "".
     """
-    former, archive = run_folder.command_of_run(folder), folder
+    former, archive = run_files.command_of_run(folder), None
 
     def copy(draft: Path) -> None:
-        shutil.copytree(folder, draft, dirs_exist_ok=True)
+        for name in run_files.files_of_run(folder):
+            link(folder / name, draft / name)
 
     def fill(draft: Path) -> None:
         nonlocal archive
         write(draft)
         html_report.write_report(draft)
-        earlier, present = (text.split()[1:2] for text in
-                            (former, run_folder.command_of_run(draft)))  # fmt: skip
-        if earlier and earlier != present:
-            archive = folder.with_name(f"{folder.name}.{earlier[0]}")
-            write_folder(archive, copy)
+        archive = run_files.archive_of(folder, run_files.command_of_run(draft).split()[1])
+        if archive is not None:
+            write_folder(archive, copy, run_files.files_of_run)
 
-    write_folder(folder, fill)
-    if former in ("", run_folder.command_of_run(folder)):
-        return ""
-    place = "--output names another folder" if archive is folder else f"that is now in {archive}/"
-    return f"It replaced the run of `{former}`; {place}."
+    write_folder(folder, fill, run_files.files_of_run)
+    sentences = []
+    if former not in ("", run_files.command_of_run(folder)):
+        here = "--output names another folder"
+        place = here if archive is None else f"that is now in {archive}/"
+        sentences.append(f"It replaced the run of `{former}`; {place}.")
+    if names := run_files.files_beside_run(folder):
+        sentences.append(f"Of no run, and still in {folder}/: {run_files.listed(names)}.")
+    return " ".join(sentences)
 
 
 def _config_argument(config: Path | None) -> str:

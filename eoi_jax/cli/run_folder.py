@@ -131,6 +131,7 @@ def check_place(folder: Path, field: str) -> None:
     Raises:
         ValueError: it cannot be created or written.
     """
+    folder = folder.resolve() if folder.is_symlink() else folder  # which is written, not the link
     created: list[Path] = []
 
     def undo() -> None:
@@ -159,20 +160,6 @@ def check_place(folder: Path, field: str) -> None:
                 cause = f"{path} is a file" if is_file else error.strerror
                 rule = f"must be a folder that can be created and written ({cause})"
                 check(False, "--output", rule, folder.parent)
-
-
-def command_of_run(folder: Path) -> str:
-    """The command whose run is in a folder; empty without a run.
-
-    Args:
-        folder: of the run.
-    """
-    try:
-        with (folder / "config.toml").open(encoding="utf-8") as stream:
-            line = stream.readline().strip()
-    except (OSError, UnicodeDecodeError):
-        return ""
-    return line.removeprefix("# ") if line.startswith("# eoi ") else ""
 
 
 # -- as files ---------------------------------------------------------------------------------

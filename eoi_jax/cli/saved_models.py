@@ -8,7 +8,7 @@ import numpy as np
 
 from eoi_jax._atomic import write_folder
 from eoi_jax._checks import check, check_choice
-from eoi_jax.cli import build, run_folder
+from eoi_jax.cli import build, run_files, run_folder
 from eoi_jax.cli.config import Config, LawTable, load
 from eoi_jax.cli.new_files import dates_of_zero, planned_inputs, records_of_files
 from eoi_jax.cli.summary import comparison_summary, prediction_summary, validation_summary
@@ -78,7 +78,8 @@ def validate(
     _report_stage(progress, "drawing")
     dates = dates_of_zero(settings, plant, files)
     parts = ("validate", [("free run", full_runs)], summary, text, dates)
-    write_folder(folder, lambda draft: run_folder.write_free_runs(draft, *parts))
+    write = run_folder.write_free_runs
+    write_folder(folder, lambda draft: write(draft, *parts), run_files.files_of_run)
     return Outcome(summary, text, folder)
 
 
@@ -89,6 +90,7 @@ def _opened(
     jax_setup.configure()
     folder = output / f"{_name(run)}.{command}"
     run_folder.check_place(folder, "RUN")
+    run_files.check_replaceable(folder, command)
     _report_stage(progress, "reading")
     return folder, *_saved(run, trust)
 
@@ -155,7 +157,8 @@ def predict(
     summary = prediction_summary(settings.name, run, record, start, notes)
     _report_stage(progress, "drawing")
     parts = (prediction, summary, text, *dates_of_zero(settings, plant, [file]))
-    write_folder(folder, lambda draft: run_folder.write_prediction(draft, *parts))
+    write = run_folder.write_prediction
+    write_folder(folder, lambda draft: write(draft, *parts), run_files.files_of_run)
     return Outcome(summary, text, folder)
 
 
@@ -259,6 +262,7 @@ def compare(
     check(len(runs) > 1, "RUN", _FOLDERS, ", ".join(map(str, runs)) or "none")
     labels, folder = _labels(runs), output / f"{_name(runs[0])}.compare"
     run_folder.check_place(folder, "RUN")
+    run_files.check_replaceable(folder, "compare")
     _report_stage(progress, "reading")
     saved = [_saved(run, trust) for run in runs]
     plants = [_plant(result) for result, _ in saved]
@@ -286,7 +290,8 @@ def compare(
     text = "\n\n".join(texts)
     _report_stage(progress, "drawing")
     parts = ("compare", named, summary, text)
-    write_folder(folder, lambda draft: run_folder.write_free_runs(draft, *parts))
+    write = run_folder.write_free_runs
+    write_folder(folder, lambda draft: write(draft, *parts), run_files.files_of_run)
     return Outcome(summary, text, folder)
 
 

@@ -18,6 +18,7 @@ from eoi_jax._status import Status
 from eoi_jax.cli import actions, build, html_report
 from eoi_jax.cli import config as configs
 from eoi_jax.cli.commands import app
+from eoi_jax.cli.run_files import files_beside_run
 from eoi_jax.compiler import jax_setup
 from eoi_jax.data.record import Record
 
@@ -70,6 +71,7 @@ def test_a_run_prints_its_table_and_writes_its_files(config: Path, tmp_path: Pat
     assert done.exit_code == 0, done.output
     folder = tmp_path / "runs" / "short"
     assert {path.name for path in folder.iterdir()} == FILES
+    assert files_beside_run(folder) == []  # the next run replaces all of them
     assert [path.name for path in (tmp_path / "runs").iterdir()] == ["short"]
     assert "estimate" in done.stdout
     assert "P(angle)" in done.stdout
@@ -152,6 +154,7 @@ def test_parameters_over_time_are_written_where_asked_for(config: Path, tmp_path
         )
         np.testing.assert_allclose(float(last[name]), end, rtol=1e-6)
     assert (runs / "short" / "history.png").stat().st_size > 10_000
+    assert files_beside_run(runs / "short") == []
     assert eoi("report", runs / "short").exit_code == 0
     assert "Parameters over time" in (runs / "short" / "report.html").read_text()
     written = (runs / "short" / "config.toml").read_text()
@@ -252,7 +255,7 @@ def test_a_run_is_replaced_only_by_a_whole_new_one(tmp_path: Path):
     with pytest.raises(KeyboardInterrupt):
         write_folder(folder, fail)
     assert [path.name for path in folder.iterdir()] == ["old"]
-    write_folder(folder, fill)
+    write_folder(folder, fill, lambda folder: ["old"])
     assert [path.name for path in folder.iterdir()] == ["new"]
     assert [path.name for path in folder.parent.iterdir()] == ["one"]
 
@@ -264,11 +267,15 @@ def test_a_run_in_place_of_that_of_another_command_says_so(config: Path, tmp_pat
         result = eoi(*arguments, *output)
         assert result.exit_code == 0, result.output
         told.append([line for line in result.stdout.splitlines() if "It replaced" in line])
+        (tmp_path / "runs" / "short" / "notes.txt").write_text("mine")
     (name,) = (path.name for path in (tmp_path / "runs").iterdir() if "." not in path.name)
     kept = tmp_path / "runs" / f"{name}.identify"
     identified = f"It replaced the run of `eoi identify {config}`; that is now in {kept}/."
+    identified += f" Of no run, and still in {kept.with_name('short')}/: notes.txt."
     assert told == [[], [identified], []]
     assert (kept / "config.toml").read_text().startswith("# eoi identify")
+    assert not (kept / "notes.txt").exists()
+    assert (tmp_path / "runs" / "short" / "notes.txt").read_text() == "mine"
     assert eoi("report", kept).exit_code == 0
     result = eoi("identify", config, *output, "--json")
     assert "It replaced" not in result.stdout

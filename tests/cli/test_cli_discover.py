@@ -13,6 +13,7 @@ import eoi_jax as eoi
 from eoi_jax.cli import actions, build, html_report, run_folder
 from eoi_jax.cli import config as configs
 from eoi_jax.cli.commands import app
+from eoi_jax.cli.run_files import files_beside_run
 from eoi_jax.compiler import jax_setup
 from eoi_jax.discovery import requested
 from eoi_jax.models import effects
@@ -131,6 +132,7 @@ def test_a_discovery_prints_its_report_and_writes_all_of_it(known, found, config
     assert done.exit_code == 0, done.output
     folder = tmp_path / "runs" / "hidden"
     assert {path.name for path in folder.iterdir()} == FILES
+    assert files_beside_run(folder) == []
     assert done.stdout.startswith(str(found))
     assert (folder / "report.txt").read_text() == f"{found}\n"
     for name in ("residual", "effect", "free_run"):

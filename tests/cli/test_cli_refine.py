@@ -17,6 +17,7 @@ import eoi_jax as eoi
 from eoi_jax._status import Status
 from eoi_jax.cli import actions, html_report
 from eoi_jax.cli.commands import app
+from eoi_jax.cli.run_files import files_beside_run
 from eoi_jax.compiler import jax_setup
 
 SHORT = """
@@ -81,6 +82,7 @@ def test_a_run_prints_its_tables_and_writes_its_files(config: Path, tmp_path: Pa
     assert done.exit_code == 0, done.output
     folder = tmp_path / "runs" / "short"
     assert {path.name for path in folder.iterdir()} == FILES
+    assert files_beside_run(folder) == []
     report = (folder / "report.txt").read_text()
     assert done.stdout.startswith(report)
     for part in ("refined", "95 % interval", "Held out, before:", "Held out, refined:"):

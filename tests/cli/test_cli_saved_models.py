@@ -9,6 +9,7 @@ from typer.testing import CliRunner
 
 import eoi_jax as eoi
 from eoi_jax.cli.commands import app
+from eoi_jax.cli.run_files import files_beside_run
 from eoi_jax.compiler import jax_setup
 from eoi_jax.models.storage import save
 
@@ -119,6 +120,7 @@ def test_a_saved_model_is_judged_as_by_the_function(folder):
     assert found["windows"]["window"] == pytest.approx(4.0)
     assert found["windows"]["rmse"]["level"] == pytest.approx(NOISE, rel=0.3)
     files = {path.name for path in (folder / "runs" / "good.validate").iterdir()}
+    assert files_beside_run(folder / "runs" / "good.validate") == []
     assert files == {
         "validate.json",
         "validate.txt",
@@ -175,6 +177,7 @@ def test_planned_inputs_without_outputs_are_predicted_from_a_given_start(folder,
     expected = eoi.simulate(result.plant, time, table[:, 1], {"level": 0.3}, hold=hold)
     np.testing.assert_allclose(written[:, 2], expected.outputs[:, 0], atol=1e-8)
     files = {path.name for path in (tmp_path / "good.predict").iterdir()}
+    assert files_beside_run(tmp_path / "good.predict") == []
     assert files == {"predict.json", "predict.txt", "prediction.csv", "prediction.png"}
 
 
@@ -381,6 +384,7 @@ def test_models_are_compared_on_the_same_records(folder):
     single = answer("validate", "runs/wrong", "new.csv")["validation"]["fit"]["level"]
     assert fits[1] == single
     files = {path.name for path in (folder / "runs" / "good.compare").iterdir()}
+    assert files_beside_run(folder / "runs" / "good.compare") == []
     assert files == {"compare.json", "compare.txt", "compare.png", "correlation.png"}
 
 

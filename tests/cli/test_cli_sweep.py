@@ -15,6 +15,7 @@ import eoi_jax as eoi
 from eoi_jax.cli import build
 from eoi_jax.cli import config as configs
 from eoi_jax.cli.commands import app
+from eoi_jax.cli.run_files import files_beside_run
 from eoi_jax.compiler import jax_setup
 from eoi_jax.estimation import sweep as sweeps
 from eoi_jax.estimation.engines import Scan
@@ -120,6 +121,7 @@ def test_the_command_writes_a_store_and_goes_on_from_it(config: Path, tmp_path: 
     assert sum(summary["statuses"].values()) == summary["lanes"]
     assert summary["best"]["observer"]["kind"] in ("SecondOrder", "SuperTwisting")
     assert {one.name for one in (tmp_path / "small").iterdir()} == FILES
+    assert files_beside_run(tmp_path / "small") == []
     stored = eoi.open_sweep(tmp_path / "small" / "sweep.zarr")
     assert stored.sizes["observer"] == 7
     assert "eoi sweep" in (tmp_path / "small" / "config.toml").read_text()
