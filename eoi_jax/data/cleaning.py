@@ -11,7 +11,16 @@ from typing import Any, TypeAlias
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from eoi_jax._checks import check, check_choice, check_kind, counted, is_or_are, timed
+from eoi_jax._checks import (
+    RecordWarning,
+    check,
+    check_choice,
+    check_kind,
+    counted,
+    is_or_are,
+    timed,
+    warn_caller,
+)
 from eoi_jax._types import Inputs, Mask, OutputMask, Outputs, Signals, TimeAxis
 from eoi_jax.compiler.jax_private import Tracer
 from eoi_jax.data.glitches import without_faults
@@ -199,23 +208,9 @@ def scored_samples(
     """Rows in which all inputs are finite; samples of each output that are, and no faults."""
     check_kind("mask_faults", mask_faults, bool, "True or False")
     names, finite = (*u_names, *y_names), np.isfinite(np.hstack([u, y]))
-    for key, column in zip(names, finite.T, strict=True):
-        advice = _NO_OUTPUT if key in y_names else "Write 0 where nothing acted."
-        value = "NaN or infinity throughout"
-        check(bool(column.any()), key, "must hold a finite value", value, advice)
+    _note_not_finite(names, y_names, finite, notes)
     u_good = np.asarray(finite[:, : len(u_names)].all(axis=1))
     y_good = finite[:, len(u_names) :]
-    slow = {key for key, column in zip(y_names, y_good.T, strict=True) if is_slow(column)}
-    bad = {
-        key: ~column
-        for key, column in zip(names, finite.T, strict=True)
-        if not column.all() and key not in slow
-    }
-    if bad:
-        rows = np.any(list(bad.values()), axis=0)
-        listed = ", ".join(f"`{key}` {column.sum()}" for key, column in bad.items())
-        share = f"{rows.sum()} of {counted(len(rows), 'sample')} {is_or_are(rows.sum())}"
-        notes.append(f"{share} not finite ({listed}): masked.")
     input_code_notes(u, u_names, notes)
     y_good = without_output_codes(y, y_good, mask_faults, y_names, notes)
     if mask_faults:
@@ -235,6 +230,69 @@ def scored_samples(
     check(rows >= SHORTEST, "inputs", f"must have values in the same row at least {SHORTEST} times",
           f"{counted(rows, 'such row')} ({listed})", SELDOM)  # fmt: skip
     return u_good, y_good
+
+
+def _note_not_finite(
+    names: tuple[str, ...], y_names: tuple[str, ...], finite: OutputMask, notes: list[str]
+) -> None:
+    """Say how many samples are not finite, but of outputs with a rate of their own."""
+    for key, column in zip(names, finite.T, strict=True):
+        advice = _NO_OUTPUT if key in y_names else "Write 0 where nothing acted."
+        value = "NaN or infinity throughout"
+        check(bool(column.any()), key, "must hold a finite value", value, advice)
+    bad = {
+        key: ~column
+        for key, column in zip(names, finite.T, strict=True)
+        if not (column.all() or (key in y_names and is_slow(column)))
+    }
+    if bad:
+        rows = np.any(list(bad.values()), axis=0)
+        listed = ", ".join(f"`{key}` {column.sum()}" for key, column in bad.items())
+        share = f"{rows.sum()} of {counted(len(rows), 'sample')} {is_or_are(rows.sum())}"
+        notes.append(f"{share} not finite ({listed}): masked.")
+
+
+def replaced_outputs(
+    name: str,
+    channels: tuple[str, ...],
+    outputs: Outputs,
+    simulated: Mask | None,
+    sample_period: float,
+) -> tuple[Outputs, OutputMask, list[str]]:
+    """Outputs in place of those of a record, with what is not finite masked as in a new record.
+
+    Args:
+        name: of the record.
+        channels: names of the outputs.
+        outputs: on the grid of the record.
+        simulated: where there are any; None: everywhere.
+        sample_period: of the grid [s].
+
+    Returns:
+        Finite outputs, where each counts as measured, and notes.
+
+    Raises:
+        ValueError: an output with fewer than 8 finite values.
+
+    Warns:
+        RecordWarning: each of the notes.
+    """
+    rows = np.ones(len(outputs), bool) if simulated is None else simulated
+    measured, notes = np.repeat(rows[:, None], outputs.shape[1], axis=1), []
+    finite = np.isfinite(outputs)
+    if np.all(finite | ~measured):
+        return outputs, measured, notes
+    _note_not_finite(channels, channels, finite[rows], notes)
+    measured &= finite
+    counts = measured.sum(axis=0)
+    value = f"{np.min(counts)} of {channels[int(np.argmin(counts))]}"
+    rule = f"must have at least {SHORTEST} finite samples of every channel"
+    check(np.min(counts) >= SHORTEST, "outputs", rule, value, _NO_OUTPUT)
+    rate_notes(channels, measured, sample_period, notes)
+    for note in notes:
+        warn_caller(f"Record `{name}`: {note}", RecordWarning)
+    position = np.arange(len(outputs), dtype=float)
+    return fill(position, np.where(finite, outputs, np.nan), position), measured, notes
 
 
 def is_slow(measured: Mask) -> bool:

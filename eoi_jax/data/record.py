@@ -34,6 +34,7 @@ from eoi_jax.data.cleaning import (
     rate_notes,
     read_signals,
     read_stamps,
+    replaced_outputs,
     scored_samples,
 )
 from eoi_jax.data.digest import digest
@@ -301,20 +302,25 @@ class Record(Result):
         return self._changed(None)._assign({"_continues": True})
 
     def with_outputs(self, outputs: Outputs, name: str, simulated: Mask | None = None) -> "Record":
-        """The same instants and inputs with simulated outputs.
+        """The same instants and inputs with other outputs, as of a simulation.
+
+        Samples that are not finite are masked, with a note and a `RecordWarning`, as in `Record`.
 
         Args:
-            outputs: of a simulation.
+            outputs: (N, ny).
             name: of the record.
             simulated: where there are any; None: everywhere.
+
+        Raises:
+            ValueError: an output with fewer than 8 finite samples.
         """
+        made = replaced_outputs(name, self.output_names, outputs, simulated, self.sample_period)
+        outputs, measured, notes = made
         new = self._changed(None)
-        everywhere = np.ones(len(self), bool) if simulated is None else simulated
-        measured = np.repeat(everywhere[:, None], outputs.shape[1], axis=1)
-        masks = everywhere, self.input_valid, measured
+        masks = np.asarray(measured.all(axis=1)), self.input_valid, measured
         new._set(self.inputs, outputs, masks, self.time, self.sample_period)
         unmeasured = {"_noise": None, "_quantum": None, "_middle": self._middle, "_periods": None}
-        return new._assign({"name": name, "notes": (), "smoothed": (), **unmeasured})
+        return new._assign({"name": name, "notes": tuple(notes), "smoothed": (), **unmeasured})
 
     def with_hold(self, hold: HoldArgument) -> "Record":
         """The same samples with a declared hold of the inputs: zero, linear or smooth.
@@ -501,9 +507,7 @@ class Record(Result):
         masks = covered(position, self.segments(), query), u_valid, np.stack(valid, axis=1)
         new._set(inputs, outputs, masks, time, sample_period)
         new._assign({**self._of_the_samples, "_middle": middle, "_skew": None})
-        if course is not None:
-            new._assign({"outputs": course(new)})
-        return new
+        return new if course is None else new._assign({"outputs": course(new)})
 
     def _between(
         self, substeps: int

@@ -535,6 +535,28 @@ def test_other_outputs_keep_instants_and_inputs_and_forget_noise_and_notes():
     assert np.all(record.noise > 0.0)
 
 
+def test_other_outputs_that_are_not_finite_are_masked_as_in_a_new_record():
+    record = sine_record(name="run")
+    y = np.array(record.outputs)
+    y[50], y[60:63] = np.inf, np.nan
+    note = f"4 of {N} samples are not finite (`y` 4): masked."
+    with pytest.warns(RecordWarning, match=re.escape(f"Record `holes`: {note}")):
+        new = record.with_outputs(y, "holes")
+    with pytest.warns(RecordWarning):
+        made = Record(record.time, record.inputs, y, mask_faults=False, hold=record.hold)
+    assert new.notes == (note,)
+    np.testing.assert_array_equal(new.outputs, made.outputs)
+    np.testing.assert_array_equal(new.output_valid, made.output_valid)
+    np.testing.assert_array_equal(new.valid, made.valid)
+    assert new.data_hash == made.data_hash
+    with pytest.raises(ValueError, match="`y` must hold a finite value, got NaN or infinity thr"):
+        record.with_outputs(np.nan * y, "none")
+    y[7:] = np.nan
+    rule = "`outputs` must have at least 8 finite samples of every channel, got 7 of y"
+    with pytest.raises(ValueError, match=rule):
+        record.with_outputs(y, "few")
+
+
 def test_smoothing_the_outputs_alone_gives_the_same_outputs_and_noise():
     record = sine_record()
     alone, both = record.without_inputs().smooth(20.0), record.smooth(20.0)
