@@ -30,6 +30,7 @@ from eoi_jax.data.holds import (
 from eoi_jax.data.input_holds import hold_text
 from eoi_jax.data.late_outputs import late_output_notes
 from eoi_jax.data.record import Record
+from eoi_jax.estimation.holdout import held_out_records
 from eoi_jax.estimation.identify import Identification, identify
 from eoi_jax.estimation.kept_signs import without_runaways
 from eoi_jax.models.check_records import check_records
@@ -190,7 +191,8 @@ def refine(
         and lags of inputs, their levels before the record are estimated.
 
     Raises:
-        ValueError: arguments or records that do not fit the plant, dry friction that cannot be
+        ValueError: arguments or records that do not fit the plant, held-out records that share
+            samples with the others, dry friction that cannot be
             simulated, a controller that does not reproduce the recorded input, or that plant or
             records cannot be simulated with.
 
@@ -210,7 +212,7 @@ def refine(
         open_loop = fit if window is None and starts is None else None
         return refined_in_loop(fully, nominal, records, validation, controller, open_loop)
     records = check_records(nominal, records)
-    held_out = () if validation is None else check_records(nominal, validation)
+    held_out = held_out_records(nominal, records, validation)
     if window is not None and window != np.inf:
         check_positive("window", window)
     max_steps = check_count("max_steps", max_steps)

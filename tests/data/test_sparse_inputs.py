@@ -92,8 +92,8 @@ def test_what_scores_no_sample_advises_to_declare_the_hold_of_a_seldom_input():
         {"a": "weather - p*a + b", "b": "q*a - b"}, {"p": 1.0, "q": 1.0}, ["a", "b"], ["weather"]
     )
 
-    def logged(step, name):
-        y = np.c_[Y, np.where(np.arange(N) % 2 == 1, Y, np.nan)]
+    def logged(step, name, gain=1.0):
+        y = gain * np.c_[Y, np.where(np.arange(N) % 2 == 1, Y, np.nan)]
         names = {"input_names": ("weather",), "output_names": ("a", "b")}
         return eoi.Record(TIME, seldom(SLOPE, step), y, name, **names)
 
@@ -102,7 +102,7 @@ def test_what_scores_no_sample_advises_to_declare_the_hold_of_a_seldom_input():
     with pytest.raises(ValueError, match=f"measured at the same time.*{advice}"):
         eoi.identify(plant, record)
     with pytest.raises(ValueError, match=f"must have known inputs.*{advice}"):
-        eoi.refine(plant, logged(1, "full"), validation=record)
+        eoi.refine(plant, logged(1, "full", 2.0), validation=record)
     assert re.search(advice, eoi.refine(plant, record).status.message)
 
 

@@ -40,6 +40,11 @@ def test_a_part_of_a_record_of_the_fit_is_not_held_out(fit, held, count):
         held_out_records(PLANT, [run(2), fit], held)
 
 
+def test_a_refinement_is_not_judged_on_records_of_its_fit():
+    with pytest.raises(ValueError, match=r"`validation\[run 1\]` must not be one of the re"):
+        eoi.refine(PLANT, [run(2), run(1)], validation=run(1))
+
+
 @pytest.mark.parametrize(
     "held",
     [

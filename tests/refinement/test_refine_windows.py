@@ -74,7 +74,7 @@ def test_a_start_that_held_out_records_prefer_is_kept():
     assert kept.parameters == start.parameters
     assert "held-out records worse" in kept.status.message
     assert np.all(np.isfinite(list(kept.standard_errors.values())))
-    better = eoi.refine(start, fitted, validation=fitted)
+    better = eoi.refine(start, fitted, validation=eoi.simulate(second_order(a=-25.0), time, -u))
     assert better.parameters["a"] == pytest.approx(-25.0, rel=1e-6)
 
 
