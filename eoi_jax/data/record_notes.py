@@ -25,6 +25,25 @@ def record_notes(records: Sequence[Record]) -> list[str]:
     return _alike(records, lambda note: not note.startswith(HOLD_TAKEN))
 
 
+def same_record_notes(records: Sequence[Record]) -> list[str]:
+    """A sentence on each record that is more than once among those of a fit.
+
+    Args:
+        records: as they were read.
+    """
+    if len(records) < 2:
+        return []
+    places: dict[str, list[int]] = {}
+    for place, record in enumerate(records):
+        places.setdefault(record.data_hash, []).append(place)
+    return [
+        f"records {', '.join(str(place + 1) for place in alike)} ({records[alike[0]].name}) are "
+        f"the same data, which count {len(alike)} times: the ± are too small. Leave out all but one"
+        for alike in places.values()
+        if len(alike) > 1
+    ]
+
+
 def biasing_notes(records: Sequence[Record]) -> list[str]:
     """The notes of records on what biases a fit, and is only known to who made the files.
 

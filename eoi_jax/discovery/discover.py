@@ -29,7 +29,7 @@ from eoi_jax.data.clipping import clipped_notes
 from eoi_jax.data.deadband import deadband_notes
 from eoi_jax.data.late_outputs import late_output_notes
 from eoi_jax.data.record import Record
-from eoi_jax.data.record_notes import record_notes
+from eoi_jax.data.record_notes import record_notes, same_record_notes
 from eoi_jax.data.resampling import Real
 from eoi_jax.discovery.additions import fit_notes
 from eoi_jax.discovery.curves import misses_a_law, with_curves
@@ -199,6 +199,7 @@ def discover(
         unplaced_notes += notes_without_place(tried_effects, fitting, discovery)
     measured = *_notes_on_channels(discovery, fit_records), *record_notes((*read, *unseen))
     measured += *clipped_notes(read), *deadband_notes(read), *unit_notes(plant, read)
+    measured += tuple(same_record_notes(fit_records))
     notes = *fit_notes(plant, discovery.added, discovery.found), *unplaced_notes, *runs, *measured
     discovery = replace(discovery, notes=(*discovery.notes, *notes))
     discovery = discovery if effects is None else with_requested(discovery, tried_effects)

@@ -22,7 +22,7 @@ from eoi_jax.data.clipping import clipped_notes
 from eoi_jax.data.deadband import deadband_notes
 from eoi_jax.data.holds import SETTINGS as HOLD_SETTINGS
 from eoi_jax.data.record import Record
-from eoi_jax.data.record_notes import record_notes
+from eoi_jax.data.record_notes import record_notes, same_record_notes
 from eoi_jax.data.wrapped_outputs import wrapped_notes
 from eoi_jax.estimation.common_factors import CommonFactor, common_factors
 from eoi_jax.estimation.covariance import (
@@ -397,7 +397,8 @@ def estimate(
     for score, count in zip(steps.score, unscored, strict=False):
         score[: count * prepared.substeps] = 0.0
     filters = _stack_filters([lowpass.discretise(record.sample_period) for record in resampled])
-    notes = [*record_notes(prepared.records), *pass_start_notes(plant, prepared.records, z_start)]
+    notes = [*record_notes(prepared.records), *same_record_notes(prepared.records)]
+    notes += pass_start_notes(plant, prepared.records, z_start)
     notes += short_record_notes(prepared.records, lowpass.cutoff, _NOT_USED_FOR)
     run = single_pass(plant, observer, filters, steps)
     again = course is None and passes > 1 and prepared.follows(plant)

@@ -12,7 +12,7 @@ from eoi_jax.data.clipping import clipped_notes
 from eoi_jax.data.deadband import deadband_notes
 from eoi_jax.data.masks import hold_advice
 from eoi_jax.data.record import Record
-from eoi_jax.data.record_notes import biasing_notes
+from eoi_jax.data.record_notes import biasing_notes, same_record_notes
 from eoi_jax.data.windows import restart_notes
 from eoi_jax.data.wrapped_outputs import wrapped_notes
 from eoi_jax.estimation.common_factors import CommonFactor, common_factors
@@ -78,6 +78,7 @@ def refinement_of(
             *clipped_notes(records),
             *deadband_notes(records),
             *biasing_notes(records),
+            *same_record_notes(records),
             *wrapped_notes(records),
             *unit_notes(nominal, records),
             *_restarts(records, spans),

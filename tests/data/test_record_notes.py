@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 import eoi_jax as eoi
-from eoi_jax.data.record_notes import record_notes
+from eoi_jax.data.record_notes import record_notes, same_record_notes
 
 TIME = 0.1 * np.arange(100)
 
@@ -33,6 +33,17 @@ def test_a_note_has_the_name_of_its_record_and_is_not_repeated_for_more():
     assert record_notes([record("run 0"), *three]) == [f"{note}; alike in run 2 and run 3"]
     many = [*three, *(record(f"run {number}", 2) for number in range(4, 30))]
     assert record_notes(many)[0] == f"{note}; alike in 28 other records"
+
+
+def test_a_record_that_is_there_twice_is_named_wherever_errors_are_estimated():
+    plant = eoi.Plant(lambda t, x, u, p: p.b * u[0] - p.c * x.y[0], {"b": 1.0, "c": 1.0}, 1)
+    first, other = (eoi.simulate(plant, TIME, np.sin(k * TIME), name=f"run {k}") for k in (1, 2))
+    note = "records 1, 3 (run 1) are the same data, which count 2 times: the ± are too small. Leave"
+    (sentence,) = same_record_notes([first, other, first])
+    assert sentence == f"{note} out all but one"
+    assert same_record_notes([first, other]) == []
+    for answer in (eoi.identify, eoi.refine):
+        assert sentence in [str(one) for one in answer(plant, [first, other, first]).notes]
 
 
 def test_notes_on_different_things_are_sentences_of_their_own():
