@@ -314,8 +314,8 @@ class Record(Result):
         Raises:
             ValueError: an output with fewer than 8 finite samples.
         """
-        made = replaced_outputs(name, self.output_names, outputs, simulated, self.sample_period)
-        outputs, measured, notes = made
+        replaced = replaced_outputs(name, self.output_names, outputs, simulated, self.sample_period)
+        outputs, measured, notes = replaced
         new = self._changed(None)
         masks = np.asarray(measured.all(axis=1)), self.input_valid, measured
         new._set(self.inputs, outputs, masks, self.time, self.sample_period)

@@ -37,10 +37,10 @@ def same_record_notes(records: Sequence[Record]) -> list[str]:
     for place, record in enumerate(records):
         places.setdefault(record.data_hash, []).append(place)
     return [
-        f"records {', '.join(str(place + 1) for place in alike)} ({records[alike[0]].name}) are "
-        f"the same data, which count {len(alike)} times: the ± are too small. Leave out all but one"
-        for alike in places.values()
-        if len(alike) > 1
+        f"records {', '.join(str(place + 1) for place in copies)} ({records[copies[0]].name}) are "
+        f"the same data, counted {len(copies)} times: the ± are too small. Leave out all but one"
+        for copies in places.values()
+        if len(copies) > 1
     ]
 
 

@@ -21,7 +21,7 @@ from eoi_jax._checks import check
 from eoi_jax.compiler.jax_private import jaxpr_as_fun, operations_of, with_own_constants
 from eoi_jax.compiler.programs import fingerprint
 from eoi_jax.models.parameters import parameter_type
-from eoi_jax.models.traced_shapes import traced
+from eoi_jax.models.traced_shapes import stacked, traced
 
 # Packages whose functions read nothing that changes.
 _PACKAGES = ("jax", "jaxlib", "numpy", "eoi_jax")
@@ -107,7 +107,8 @@ class FunctionSnapshot:
 
     def _trace(self, leaves: list[Any], structure: Any) -> Any:
         def call(*leaves: Any) -> jax.Array:
-            return jnp.asarray(self.function(*jax.tree.unflatten(structure, leaves)))
+            returned = self.function(*jax.tree.unflatten(structure, leaves))
+            return stacked(self.field, self.function, returned, self._layout)
 
         shapes = [jax.ShapeDtypeStruct(jnp.shape(leaf), leaf.dtype) for leaf in leaves]
         closed = traced(self.field, self.function, call, *shapes, layout=self._layout)

@@ -10,7 +10,7 @@ from eoi_jax._checks import check
 from eoi_jax.models.function_snapshot import FunctionSnapshot, is_of_package
 from eoi_jax.models.index_bounds import check_indices
 from eoi_jax.models.traced_equations import evaluated
-from eoi_jax.models.traced_shapes import traced_shape
+from eoi_jax.models.traced_shapes import SCALARS, traced_shape
 
 
 def read_functions(
@@ -90,6 +90,7 @@ def _check_rate(field: str, plant: Any, shape: tuple[int, ...], start: tuple[int
     rule = f"must return shape ({ny},), one value for each of the outputs "
     good = shape == (ny,) or (ny == 1 and shape == ())
     advice = lower if shape[:1] == (sum(plant.degrees),) else ""
+    advice = SCALARS if shape == (ny, 1) else advice
     check(good, field, rule + ", ".join(plant.outputs), f"shape {shape}", advice)
 
 

@@ -6,6 +6,7 @@ from pathlib import PurePath
 from typing import Any
 
 import jax
+import jax.numpy as jnp
 from jax.errors import (
     ConcretizationTypeError,
     TracerArrayConversionError,
@@ -22,7 +23,7 @@ _ARGUMENTS = (
     "their derivatives, `x.z` the internal states, and parameters have their names, `p.mass`."
 )
 
-_SCALARS = (
+SCALARS = (
     "A row of `x.y` has an entry for each output, also of a single one, and so has `u`: "
     "`position, speed = x.y[:, 0]` and `u[0]` are scalars."
 )
@@ -53,7 +54,7 @@ def traced(field: str, function: Any, call: Callable, *arguments: Any, layout: s
     except ValueError as error:
         if str(error).startswith("`"):  # of a field of its own
             raise
-        value = f"{type(error).__name__}: {error}{line_of(function, error)}"
+        value = f"{type(error).__name__}: {str(error).rstrip('.')}{line_of(function, error)}"
         returns_nothing = str(error).startswith("None is not a valid value")
         advice = "Does the function lack its `return`?" if returns_nothing else ""
         advice = layout if "values to unpack" in str(error) else advice
@@ -68,12 +69,37 @@ def traced(field: str, function: Any, call: Callable, *arguments: Any, layout: s
         check(False, field, rule, used + line_of(function, error), advice)
         raise
     except _FAILURES as error:
-        value = f"{type(error).__name__}: {error}{line_of(function, error)}"
+        value = f"{type(error).__name__}: {str(error).rstrip('.')}{line_of(function, error)}"
         advice = _ARGUMENTS if field in ("dynamics", "internal") else ""
         scalar = advice and "scalar" in str(error)  # lax.cond, lax.while_loop
-        advice += " " + _SCALARS if scalar else ""
+        advice += " " + SCALARS if scalar else ""
         check(False, field, "must run where it is called", value, advice)
         raise
+
+
+def stacked(field: str, function: Any, returned: Any, layout: str) -> jax.Array:
+    """What a user's function returns as an array.
+
+    Args:
+        field: name of the function, as the user wrote it.
+        function: of the user.
+        returned: by it.
+        layout: shapes of what f and g get; "" for other functions.
+
+    Raises:
+        ValueError: a list whose entries have different shapes.
+    """
+    if isinstance(returned, list | tuple) and not any(
+        isinstance(entry, list | tuple) for entry in returned
+    ):
+        shapes = [jnp.shape(entry) for entry in returned if entry is not None]
+        code = getattr(function, "__code__", None)
+        file = PurePath(code.co_filename).name if code else ""
+        place = f" (function in line {code.co_firstlineno} of {file})" if code else ""
+        value = f"shapes {', '.join(map(str, shapes))}{place}"
+        advice = f"{layout} {SCALARS}" if layout else ""
+        check(len(set(shapes)) < 2, field, "must return entries of one shape", value, advice)
+    return jnp.asarray(returned)
 
 
 def line_of(function: Any, error: Exception) -> str:

@@ -38,7 +38,7 @@ def test_a_note_has_the_name_of_its_record_and_is_not_repeated_for_more():
 def test_a_record_that_is_there_twice_is_named_wherever_errors_are_estimated():
     plant = eoi.Plant(lambda t, x, u, p: p.b * u[0] - p.c * x.y[0], {"b": 1.0, "c": 1.0}, 1)
     first, other = (eoi.simulate(plant, TIME, np.sin(k * TIME), name=f"run {k}") for k in (1, 2))
-    note = "records 1, 3 (run 1) are the same data, which count 2 times: the ± are too small. Leave"
+    note = "records 1, 3 (run 1) are the same data, counted 2 times: the ± are too small. Leave"
     (sentence,) = same_record_notes([first, other, first])
     assert sentence == f"{note} out all but one"
     assert same_record_notes([first, other]) == []

@@ -37,6 +37,23 @@ def test_a_model_that_needs_values_is_named(law, message):
         eoi.Plant(lambda t, x, u, p: p.a * x.z, {"a": 1.0}, **internal)
 
 
+def test_entries_of_different_shapes_are_named_with_those_of_what_the_model_gets():
+    message = r"got shapes \(1,\), \(\) \(function in line \d+ of test_traced_shapes.py\)\. .*"
+    message += r"`u` has shape \(1,\).* and `u\[0\]` are scalars"
+    pair = {"parameters": {"a": 1.0}, "relative_degree": (1, 1), "outputs": ("v", "w")}
+    with pytest.raises(ValueError, match=f"`dynamics` must return entries of one shape, {message}"):
+        eoi.Plant(lambda t, x, u, p: [u - p.a * x.y[0, 0], -x.y[0, 1]], **pair)
+    rule = r"must return shape \(2,\).* got shape \(2, 1\)\. A row of `x.y` .*`u\[0\]` are scalars"
+    with pytest.raises(ValueError, match=rule):
+        eoi.Plant(lambda t, x, u, p: [u - p.a * x.y[0, 0], u], **pair)
+
+
+def test_the_sentence_of_an_error_has_one_full_stop():
+    with pytest.raises(ValueError, match=r"hapes\.py\)\. It is") as failure:
+        eoi.Plant(lambda t, x, u, p: jnp.concatenate([u, x.y]), {"a": 1.0})
+    assert ".." not in str(failure.value)
+
+
 def by_element(t, x, u, p):
     return -p.a * x[0]
 
