@@ -353,6 +353,8 @@ def init(
         force or not config_path.exists(), "--output", rule, config_path, "Replace it with --force."
     )
     check(not config_path.is_dir(), "--output", "must be a file", config_path)
+    is_data = config_path.resolve() in {path.resolve() for path in paths}
+    check(not is_data, "--output", "must not be a data file", config_path)
     run_folder.check_place(config_path, "--output")
     with run_folder.quiet_records():
         size = MAX_GIGABYTES if max_gigabytes is None else max_gigabytes

@@ -24,6 +24,7 @@ from eoi_jax.report.provenance import describe_record, json_values, versions
 
 FORMAT = 1
 SUFFIXES = (".json", ".csv")
+_KIND = '"kind": "parameters"'
 _COLUMNS = ("name", "value", "standard_error", "low", "high", "unit", "estimated", "effect")
 _INPUT_COLUMNS = ("input", "value_at_input", "standard_error_at_input", "unit_at_input")
 
@@ -47,13 +48,14 @@ def export_parameters(result: Any, path: str | Path) -> Path:
 
     Raises:
         ValueError: a result without an estimate or without an answer, another ending, a folder that
-            cannot be written.
+            cannot be written, or a file in its place that holds something else.
     """
     path = Path(path)
     check(path.suffix in SUFFIXES, "path", f"must end in {' or '.join(SUFFIXES)}", path)
     rows = parameter_estimates(result, estimate_of(result))
     text = _csv(rows) if path.suffix == ".csv" else _json(result, rows)
-    write_content(path, text.encode())
+    mark = ",".join(_COLUMNS[:3]) if path.suffix == ".csv" else _KIND
+    write_content(path, text.encode(), mark.encode())
     return path
 
 

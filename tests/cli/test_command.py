@@ -420,6 +420,8 @@ def test_init_writes_a_config_that_identifies_the_file_as_it_is(tmp_path: Path, 
     again = CliRunner().invoke(app, ["init", "motor.csv"])
     assert again.exit_code == 2
     assert "--force" in again.stderr
+    over = CliRunner().invoke(app, ["init", "motor.csv", "--force", "--output", "motor.csv"])
+    assert "`--output` must not be a data file, got motor.csv" in over.stderr
     assert (
         CliRunner().invoke(app, ["init", "motor.csv", "--force", "--quiet"]).stdout
         == "motor.toml\n"

@@ -118,3 +118,14 @@ def test_what_is_no_estimate_is_refused(found, tmp_path):
         eoi.export_parameters(found.before, tmp_path / "p.json")
     with pytest.raises(ValueError, match=r"`path` must be writable \(No such file"):
         eoi.export_parameters(DECLARED, tmp_path / "none" / "p.json")
+
+
+@pytest.mark.parametrize("suffix", [".csv", ".json"])
+def test_parameters_take_the_place_of_parameters_only(tmp_path, suffix):
+    path = tmp_path / f"data{suffix}"
+    for _ in range(2):
+        eoi.export_parameters(DECLARED, path)
+    path.write_text("time,u,y\n0,1,2\n")
+    with pytest.raises(ValueError, match="`path` must not be a file that eoi_jax did not write"):
+        eoi.export_parameters(DECLARED, path)
+    assert path.read_text().startswith("time,u,y")

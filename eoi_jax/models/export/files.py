@@ -5,23 +5,24 @@ from pathlib import Path
 from eoi_jax._atomic import write_file
 from eoi_jax._checks import check
 
-_MARK, _HEAD = b"eoi_jax", 4000  # what the first bytes of generated code say
+_HEAD = 4000  # the first bytes, which say what a file is
 
 
-def write_content(path: Path, content: bytes) -> None:
-    """Write a file, or replace it; generated code does not replace a file of somebody else.
+def write_content(path: Path, content: bytes, mark: bytes = b"eoi_jax") -> None:
+    """Write a file, or replace it, but no file of somebody else by one that has a mark.
 
     Args:
         path: of the file.
         content: its bytes.
+        mark: in the first bytes of such files that were written here.
 
     Raises:
-        ValueError: a folder that does not exist or cannot be written, or code in place of a file
-            that does not say that it was written here.
+        ValueError: a folder that does not exist or cannot be written, or content with the mark in
+            place of a file without it.
     """
-    if _MARK in content[:_HEAD] and path.is_file():
+    if mark in content[:_HEAD] and path.is_file():
         with path.open("rb") as file:
-            is_generated = _MARK in file.read(_HEAD)
+            is_generated = mark in file.read(_HEAD)
         rule = "must not be a file that eoi_jax did not write"
         check(is_generated, "path", rule, path, "Give another name, or remove it.")
 
