@@ -276,6 +276,27 @@ def _steps_since(flags: Bool[Host, " steps"]) -> Any:
     return index - (np.maximum.accumulate(flagged) if xp is np else jax.lax.cummax(flagged))
 
 
+def unscored_notes(records: Sequence[Record], check_scored: Callable[[Record], None]) -> list[str]:
+    """A note for each record that cannot be scored, where another one can.
+
+    Args:
+        records: of one data set.
+        check_scored: raises `ValueError` for a record that cannot be scored.
+
+    Raises:
+        ValueError: that of the first one, where none can.
+    """
+    errors = []
+    for record in records:
+        try:
+            check_scored(record)
+        except ValueError as error:
+            errors.append(error)
+    if errors and len(errors) == len(records):
+        raise errors[0]
+    return [f"not scored: {error}" for error in errors]
+
+
 def hold_advice(records: Sequence[Record]) -> str:
     """What to do where the inputs of a record are known at few of its samples; "" elsewhere.
 

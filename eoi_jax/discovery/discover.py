@@ -84,7 +84,11 @@ from eoi_jax.discovery.unseen_records import with_test_errors
 from eoi_jax.estimation.common_factors import without_common_factors
 from eoi_jax.estimation.defaults import short_record_notes, too_short
 from eoi_jax.estimation.hold import hold_indices
-from eoi_jax.estimation.holdout import check_runs, held_out_records
+from eoi_jax.estimation.holdout import (
+    check_runs,
+    held_out_records,
+    scorable_records,
+)
 from eoi_jax.estimation.identify import estimate, trial_fit
 from eoi_jax.estimation.kept_signs import reversed_notes
 from eoi_jax.estimation.lowpass import LowPass
@@ -181,7 +185,9 @@ def discover(
     fitting = names_with_place(plant, tried_effects)
     check(0.0 < real(alpha) < 1.0, "alpha", "must lie in (0, 1)", alpha, "0.01 is a common choice.")
     most = check_count("most", most)
-    runs = check_runs(plant, fit_records, held_out, window)
+    fit_records, lost = scorable_records(plant, "records", fit_records, window, not held_out)
+    held_out, lost_too = scorable_records(plant, "validation", held_out, window, True)
+    runs = *lost, *lost_too, *check_runs(plant, fit_records, held_out, window)
     read = *fit_records, *held_out
     unseen = held_out_records(plant, read, test, "test")
     progress = callback or _no_progress

@@ -144,7 +144,7 @@ def _count_measured(record: Record) -> int:
 def check_runs(
     plant: Plant, records: Sequence[Record], validation: Sequence[Record], window: float | None
 ) -> list[str]:
-    """Check that `discover` can simulate records and windows.
+    """Check that `discover` can simulate records, in windows too.
 
     Args:
         plant: the declared model.
@@ -157,24 +157,15 @@ def check_runs(
         start late for lack of valid samples, or that is not longer than `window`.
 
     Raises:
-        ValueError: a record or a window that is too short.
+        ValueError: a record that is too short.
     """
-    if window is not None:
-        check_positive("window", window, "It is a time in seconds.")
-        for record in (*records, *validation):
-            shortest = INITIAL * record.sample_period
-            rule = (
-                f"must be longer than {shortest:g} s, the {INITIAL} samples of {record.name} that "
-            )
-            rule += "start each free run"
-            check(round(window / record.sample_period) > INITIAL, "window", rule, f"{window:g} s")
     scored = validation or records
     notes = wrapped_notes(records)
     notes += check_scored_records(plant, "validation" if validation else "records", scored)
     for name, group in (("records", records), ("validation", validation)):
         length = window
         if window is None and group:
-            length = window_length(group, 2 * longest_start(plant, group))
+            length = _usual_window(plant, group)
         if length is not None:
             late_notes = check_scored_records(plant, name, group, length)
             notes += late_notes if group is scored else []
@@ -183,6 +174,57 @@ def check_runs(
         for record in scored
         if window is not None and window >= (len(record) - 1) * record.sample_period
     ]
+
+
+def _check_window(window: float | None, records: Sequence[Record]) -> None:
+    """Check that runs of this length [s] are longer than their starts; None: nothing is asked for.
+
+    Raises:
+        ValueError: they are not.
+    """
+    if window is None:
+        return
+    check_positive("window", window, "It is a time in seconds.")
+    for record in records:
+        shortest = INITIAL * record.sample_period
+        rule = f"must be longer than {shortest:g} s, the {INITIAL} samples of {record.name} that "
+        rule += "start each free run"
+        check(round(window / record.sample_period) > INITIAL, "window", rule, f"{window:g} s")
+
+
+def scorable_records(
+    plant: Plant, name: str, records: tuple[Record, ...], window: float | None, whole: bool
+) -> tuple[tuple[Record, ...], list[str]]:
+    """Records of which free runs can be scored, and a note on each that is left out.
+
+    Args:
+        plant: that is simulated.
+        name: of the argument, for messages.
+        records: of one data set; where none can be scored, all are returned.
+        window: length of short runs [s]; None for the default.
+        whole: whether runs over whole records are scored, too.
+
+    Raises:
+        ValueError: a window that is no longer than the start of a run.
+    """
+    _check_window(window, records)
+    if not records:
+        return records, []
+    length = _usual_window(plant, records) if window is None else window
+    lengths = [None] * whole + [length] * (length is not None)
+    usable, notes = [], []
+    for record in records:
+        try:
+            for asked in lengths:
+                check_scored_records(plant, name, [record], asked)
+            usable.append(record)
+        except ValueError as error:
+            notes.append(f"left out: {error}")
+    return (tuple(usable), notes) if usable else (records, [])
+
+
+def _usual_window(plant: Plant, records: Sequence[Record]) -> float | None:
+    return window_length(records, 2 * longest_start(plant, records))
 
 
 def longest_start(plant: Plant, records: Sequence[Record]) -> int:

@@ -24,7 +24,7 @@ from eoi_jax.data.holds import (
 )
 from eoi_jax.data.input_holds import Hold
 from eoi_jax.data.late_outputs import late_output_notes
-from eoi_jax.data.masks import hold_advice, scored_samples, transient_samples
+from eoi_jax.data.masks import hold_advice, scored_samples, transient_samples, unscored_notes
 from eoi_jax.data.record import Record
 from eoi_jax.data.windows import (
     Plan,
@@ -88,7 +88,8 @@ def validate(
     Each output is scored at the samples at which it was measured. Where an input is unknown the run
     ends, and another one starts behind it, from its own estimated state; parts that are too short
     for that are not scored. A run whose first samples are masked starts later, as soon as enough
-    are valid. All of it stands in the notes.
+    are valid. A record without such a run is not scored where another one is. All of it stands in
+    the notes.
 
     Args:
         plant: the model with the parameters to judge; or a result of `identify`, `refine` or
@@ -113,7 +114,7 @@ def validate(
         Errors over all scored samples of all records, and predictions over all samples.
 
     Raises:
-        ValueError: no record, channels or units that are not the plant's, too few samples, a
+        ValueError: no record, channels or units that are not the plant's, too few samples in all, a
             window not longer than the initial samples, a controller that does not reproduce the
             recorded input, or that plant or records cannot be simulated with.
     """
@@ -216,11 +217,14 @@ def judged_runs(
     """
     records = check_records(plant, records)
     for record in records:
-        _check_record(plant, record, initial_samples, window)
+        _check_lengths(plant, record, initial_samples, window)
+    check_scored = partial(_check_record, plant, initial_samples, window)
+    unscored = unscored_notes(records, check_scored)
     judge = partial(_judged, plant, initial_samples, window, substeps, total_steps)
     rule = undeclared_hold(records)
     if rule is None:
-        return judge(records)
+        single = judge(records)
+        return replace(single, notes=(*single.notes, *unscored))
     runs: dict[Hold, Validation] = {}
 
     def error(hold: Hold) -> float:
@@ -233,7 +237,7 @@ def judged_runs(
 
     choice = chosen_hold(error, rule, records, better)
     best = runs[choice.best]
-    return replace(best, notes=(*best.notes, *choice.evidence("the error")))
+    return replace(best, notes=(*best.notes, *unscored, *choice.evidence("the error")))
 
 
 def _judged(
@@ -351,9 +355,10 @@ def _head(plant: Plant, record: Record, initial_samples: int | None) -> int:
     return initial_samples
 
 
-def _check_record(
+def _check_lengths(
     plant: Plant, record: Record, initial_samples: int | None, window: float | None
 ) -> None:
+    """Check the samples that start a run, and the window, on a record."""
     unknowns = plant.rows + int(np.sum(plant.open_internal))
     if initial_samples is not None:
         check_count("initial_samples", initial_samples)
@@ -362,6 +367,18 @@ def _check_record(
     if np.any(plant.open_internal):
         rule += " and of internal states, whose declared values are checked there too"
     check(head > unknowns, "initial_samples", rule, head)
+    if window is not None:
+        check_positive("window", window)
+        count = round(window / record.sample_period)
+        rule = f"must be longer than {timed(head, record.sample_period)}, which start each run"
+        check(count > head, "window", rule, timed(count, record.sample_period))
+
+
+def _check_record(
+    plant: Plant, initial_samples: int | None, window: float | None, record: Record
+) -> None:
+    """Check that a run on a record is scored."""
+    head = _head(plant, record, initial_samples)
     unscored = max(head, transient_samples(record))
     period = record.sample_period
     first = timed(unscored, period)
@@ -369,11 +386,6 @@ def _check_record(
     good = bool(np.any(scored_samples(record, unscored)))
     check(good, f"record {record.name}", rule, timed(len(record), period),
           "Lower `initial_samples`, or the record's burn-in.")  # fmt: skip
-    if window is not None:
-        check_positive("window", window)
-        count = round(window / period)
-        rule = f"must be longer than {timed(head, period)}, which start each run"
-        check(count > head, "window", rule, timed(count, period))
     longest = max(stop - start for start, stop in record.input_segments())
     check(
         longest > head,

@@ -4,7 +4,13 @@ import numpy as np
 import pytest
 
 import eoi_jax as eoi
-from eoi_jax.estimation.holdout import INITIAL, _count_common_samples, check_runs, held_out_records
+from eoi_jax.estimation.holdout import (
+    INITIAL,
+    _count_common_samples,
+    check_runs,
+    held_out_records,
+    scorable_records,
+)
 
 TIME = 0.01 * np.arange(1000)
 
@@ -95,8 +101,6 @@ def settling(record: eoi.Record) -> eoi.Record:
         ([settling(run(2))], None, r"its free run, got 40 samples \(0.4 s\), 40 of them valid and"),
         ([settling(run(2))], None, r"`validation\[run 2\]` must have valid samples after the 13"),
         ([], None, r"`records\[run 1\]` must have valid samples after the 13"),
-        ([run(2)], 0.5, "`window` must be longer than 0.5 s, the 50 samples of run"),
-        ([run(2)], -1.0, "`window` must be positive and finite, got -1.0. It is a time"),
         ([gaps(run(2))], 0.55, r"of 0.55 s, got 1000 samples \(10 s\), 17 of them valid"),
     ],
 )  # fmt: skip
@@ -104,6 +108,27 @@ def test_records_of_which_no_free_run_can_be_made_are_named(held, window, messag
     short = run(1) if held else settling(run(1))
     with pytest.raises(ValueError, match=message):
         check_runs(PLANT, [short], held, window)
+
+
+@pytest.mark.parametrize(
+    ("window", "message"),
+    [
+        (0.5, r"`window` must be longer than 0\.5 s, the 50 samples of run"),
+        (-1.0, r"`window` must be positive and finite, got -1\.0\. It is a time"),
+    ],
+)
+def test_a_window_is_longer_than_its_start(window, message):
+    with pytest.raises(ValueError, match=message):
+        scorable_records(PLANT, "records", (run(1),), window, whole=False)
+
+
+def test_a_record_that_cannot_be_scored_is_left_out_where_another_one_can():
+    short, full = settling(run(1)), run(2)
+    kept, (note,) = scorable_records(PLANT, "records", (short, full), None, whole=True)
+    assert kept == (full,)
+    assert note.startswith("left out: `records[run 1]` must have valid samples after the 13")
+    assert scorable_records(PLANT, "records", (short,), None, whole=True) == ((short,), [])
+    assert scorable_records(PLANT, "records", (full,), None, whole=True) == ((full,), [])
 
 
 def test_runs_that_start_late_are_told_of_the_records_that_judge():

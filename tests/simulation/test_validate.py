@@ -177,6 +177,21 @@ def test_a_record_with_samples_far_apart_starts_where_it_can():
         validate(plant, rare, initial_samples=20)
 
 
+@pytest.mark.parametrize("channel", ["output", "input"])
+def test_a_record_that_cannot_be_scored_is_a_note_where_another_one_can(channel):
+    plant, record = mass_spring_damper(), swing()
+    u, y = FORCE.copy(), record.outputs[:, 0].copy()
+    (u if channel == "input" else y)[9:] = np.nan
+    with pytest.warns(RecordWarning):
+        lost = Record(TIME, u, y, "lost", hold="linear")
+    for records in ([record, lost], [lost, record]):
+        result = validate(plant, records)
+        np.testing.assert_allclose(result.rmse, validate(plant, record).rmse, rtol=1e-9)
+        assert any(note.startswith("not scored: `record lost` must have") for note in result.notes)
+    with pytest.raises(ValueError, match="`record lost` must have"):
+        validate(plant, lost)
+
+
 def test_runs_of_a_record_without_gaps_are_its_windows():
     runs = plan(swing(), 50, 1.5, 2)
     assert runs.starts == (0, 300, 600, 700)
