@@ -67,6 +67,12 @@ def has_size(placed: Placed, fit: Identification | Refinement) -> bool:
     return size_is_known(names, fit.parameters, fit.standard_errors)
 
 
+def smallest_values(placed: Placed) -> dict[str, float]:
+    """Zero for each parameter of an effect, or the bound that is nearest to it."""
+    parameters = zip(placed.names, placed.effect.parameters, strict=True)
+    return {name: min(max(0.0, item.lower), item.upper) for name, item in parameters}
+
+
 def uncertain_effects(added: Sequence[Added]) -> list[str]:
     """Notes on effects of which every standard error exceeds half of its parameter."""
     labels = [addition.label for addition in added]

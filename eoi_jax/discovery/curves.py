@@ -16,7 +16,7 @@ from jaxtyping import Float
 
 from eoi_jax.data.holds import with_hold
 from eoi_jax.data.record import Record
-from eoi_jax.discovery.additions import has_size
+from eoi_jax.discovery.additions import has_size, smallest_values
 from eoi_jax.discovery.confirm import beyond_noise
 from eoi_jax.discovery.free_run_search import FreeRunAnswer
 from eoi_jax.discovery.free_run_trials import Search, refined
@@ -254,7 +254,7 @@ def _share(runs: LinearisedRuns, placed: Placed) -> float:
 
 def _fitted(search: Search, origin: Judged, placed: Placed) -> Judged | None:
     """A model with a curve that starts from zero; None where parts of it leave no trace."""
-    plant = augmented(origin.refinement.plant, [placed], dict.fromkeys(placed.names, 0.0))
+    plant = augmented(origin.refinement.plant, [placed], smallest_values(placed))
     trial = search.fitted(plant, (placed,), origin)
     traced = trial is not None and trial.refinement.status.code != "unidentifiable"
     return trial if traced else None

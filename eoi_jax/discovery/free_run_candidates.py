@@ -7,6 +7,7 @@ cause, and for dependences of a parameter.
 from collections import Counter
 from collections.abc import Sequence
 
+from eoi_jax.discovery.additions import smallest_values
 from eoi_jax.discovery.judge import Judged
 from eoi_jax.discovery.replacements import Model
 from eoi_jax.discovery.rules import RULES
@@ -59,7 +60,7 @@ def candidates(
     items = [item for item in _nearly_best(tested.significant) if item.share >= share]
     sets = [(item.placed, item.values) for item in items]
     if not explained:
-        sets += [((placed,), dict.fromkeys(placed.names, 0.0))
+        sets += [((placed,), smallest_values(placed))
                  for placed in placements(plant, offsets)]  # fmt: skip
     certain = [((placed,), {}) for placed in placements(plant, untested)]
     if not best.placed:

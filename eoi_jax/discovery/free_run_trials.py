@@ -11,7 +11,7 @@ import numpy as np
 
 from eoi_jax.data.holds import SETTINGS
 from eoi_jax.data.record import Record
-from eoi_jax.discovery.additions import has_size, size_is_known
+from eoi_jax.discovery.additions import has_size, size_is_known, smallest_values
 from eoi_jax.discovery.exchanged_lags import exchanged
 from eoi_jax.discovery.free_run_candidates import has_dependence
 from eoi_jax.discovery.judge import (
@@ -322,8 +322,7 @@ class Search:
                     return None
                 item = place(plant, form, item.channel, item.against, item.through)
             if item not in self.base.placed:
-                missing = dict.fromkeys(item.names, 0.0)
-                plant = augmented(plant, (item,), missing | values)
+                plant = augmented(plant, (item,), smallest_values(item) | values)
             following.append(item)
         return tuple(following)
 
@@ -338,7 +337,8 @@ class Search:
         declared = base.refinement.plant
         declared = declared.with_parameters({name: values[name] for name in declared.names})
         further = tuple(item for item in placed if item not in base.placed)
-        values = dict.fromkeys((name for item in further for name in item.names), 0.0) | values
+        for item in further:
+            values = smallest_values(item) | values
         plant, effects = augmented(declared, further, values), (*base.placed, *further)
         fixed = () if opened else replaced_terms(declared, model.refinement.plant)
         fixed = (*fixed, *fixed_shapes(model.refinement.plant, further))

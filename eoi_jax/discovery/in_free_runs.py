@@ -14,6 +14,7 @@ from eoi_jax.discovery.additions import (
     added_effect,
     as_fit,
     has_size,
+    smallest_values,
     uncertain_effects,
 )
 from eoi_jax.discovery.confirm import beyond_noise
@@ -141,7 +142,7 @@ def with_rate_in_place(
         law = place(plant, rate, item.channel)
         if law not in placed:
             placed.append(law)
-            values |= dict.fromkeys(law.names, 0.0)
+            values |= smallest_values(law)
         lead, lag = law.names
         values[lead] -= late
         values[lag] += late if isinstance(item.effect, ActuatorLag) else 0.5 * late  # H. Padé

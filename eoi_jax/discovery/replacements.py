@@ -12,7 +12,7 @@ from collections.abc import Sequence
 import numpy as np
 from jaxtyping import Float
 
-from eoi_jax.discovery.additions import size_is_known
+from eoi_jax.discovery.additions import size_is_known, smallest_values
 from eoi_jax.discovery.judge import Judged
 from eoi_jax.discovery.rules import RULES
 from eoi_jax.models.augmented import Placed, added_effects, augmented
@@ -91,7 +91,7 @@ def _start(placed: Sequence[Placed], runs: LinearisedRuns) -> dict[str, float]:
 
     From none at all a step may end on its bound, and stay there.
     """
-    values = {name: 0.0 for at in placed for name in at.names}
+    values = {name: value for at in placed for name, value in smallest_values(at).items()}
     loss, offset = placed[:2]
     if isinstance(loss.effect, Leak):
         seen = runs.signal_statistics(loss)

@@ -15,6 +15,7 @@ from eoi_jax.discovery import (
     free_run_trials,
     in_free_runs,
 )
+from eoi_jax.discovery.additions import smallest_values
 from eoi_jax.discovery.free_run_candidates import candidates
 from eoi_jax.discovery.free_run_evidence import without_stand_ins
 from eoi_jax.discovery.free_run_search import FreeRunAnswer, search_free_runs
@@ -945,6 +946,19 @@ def test_an_effect_whose_parameter_runs_off_becomes_the_law_in_which_it_ends():
     # Many laws end in none.
     unlimited = replace(trial, placed=(place(FAN, effects.InputSaturation(), 0),))
     assert search._in_the_limit(unlimited, unlimited.placed) is None
+
+
+def test_an_effect_begins_within_the_bounds_of_its_parameters():
+    """An exponent has a least value, and the base has none for it."""
+    judge = Judge.of((blown(2),), FAN)
+    assert judge is not None
+    search = Search.begun([FAN], (blown(1),), judge)
+    assert search is not None
+    power = place(FAN, effects.PowerLoss(), 0)
+    assert smallest_values(power) == {"power_loss_coefficient": 0.0, "power_loss_exponent": 0.1}
+    trial = search.with_only([power], search.base)
+    assert trial is not None
+    assert trial.placed == (power,)
 
 
 def test_of_two_effects_one_may_be_enough():
