@@ -1,5 +1,7 @@
 """Whether free runs on held-out records accept an answer, or even confirm it."""
 
+from collections.abc import Sequence
+
 import numpy as np
 from jaxtyping import Float
 
@@ -13,6 +15,8 @@ from eoi_jax.simulation.validate import FreeRuns
 from eoi_jax.simulation.validation import Validation
 
 _RULES = RULES.answer
+# n times that of 1 - G/S: 4 (ρ₁² + ρ₂²), of weights -½, 1, -½, whose ρ₁ is -2/3 and ρ₂ 1/6.
+_VARIANCE = 17.0 / 9.0
 
 _HIDDEN = (
     ", though the injection shows nothing beyond that noise: it hides what is missing, or spoils "
@@ -128,6 +132,51 @@ def explained_by_inputs(runs: Validation | None, plant: Plant) -> list[str]:
     ]
     length = "" if runs.window is None else " in windows"
     return [_BY_INPUTS.format(length, ", and ".join(misses))]
+
+
+def leave_noise(free_runs: Sequence[Validation]) -> bool:
+    r"""Whether free runs leave white noise at the samples of each output, as far as these tell.
+
+    What an error differs by from the straight line between its neighbours in time shows the
+    variance G of white errors, whatever the spacing, and of slow errors less. Of n white errors
+    with the mean square S, 1 - G/S is normal about zero with the variance 17/(9 n), as at equal
+    spacings.
+
+    Args:
+        free_runs: of one model, on the records of the fit and on others.
+
+    Source:
+        T. Gasser, L. Sroka, C. Jennen-Steinmetz, Biometrika 73 (1986) 625, for G; J. von Neumann,
+        Ann. Math. Statist. 12 (1941) 367, for a ratio of this kind.
+    """
+    from scipy.special import ndtri  # only discovery needs it
+
+    errors = [error for run in free_runs for error in run.residual]
+    times = [record.time for run in free_runs for record in run.records]
+    for channels in zip(*(error.T for error in errors), strict=True):
+        scored = [np.isfinite(channel) for channel in channels]
+        squares = (
+            np.concatenate([channel[mask] for channel, mask in zip(channels, scored, strict=True)])
+            ** 2
+        )
+        parts = zip(times, channels, scored, strict=True)
+        pseudo = np.concatenate([_off_line(time[mask], part[mask]) for time, part, mask in parts])
+        if not len(pseudo):
+            return False
+        slow = np.mean(squares) - np.mean(pseudo**2)
+        deviations = np.sqrt(len(squares) / _VARIANCE)
+        if not slow * deviations <= ndtri(_RULES.by_chance) * np.mean(squares):
+            return False
+    return True
+
+
+def _off_line(
+    time: Float[np.ndarray, " samples"], errors: Float[np.ndarray, " samples"]
+) -> Float[np.ndarray, " inner"]:
+    """Distance of each error from the line between its neighbours, over that of unit noise."""
+    share = (time[2:] - time[1:-1]) / (time[2:] - time[:-2])
+    distance = errors[1:-1] - share * errors[:-2] - (1.0 - share) * errors[2:]
+    return distance / np.sqrt(1.0 + share**2 + (1.0 - share) ** 2)
 
 
 def excesses(runs: Validation, expected: Float[np.ndarray, " ny"]) -> list[str]:

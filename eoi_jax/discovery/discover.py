@@ -77,6 +77,7 @@ from eoi_jax.discovery.requested import (
 )
 from eoi_jax.discovery.result import Discovery
 from eoi_jax.discovery.rules import RULES
+from eoi_jax.discovery.scattered_samples import unless_samples_are_met
 from eoi_jax.discovery.sensor_in_place import may_be_sensor, with_sensor_in_place
 from eoi_jax.discovery.stated_starts import with_stated_starts
 from eoi_jax.discovery.task import Task
@@ -289,6 +290,7 @@ class _Search:
             held_out: that judge, as given.
         """
         discovery = unless_inputs_are_noisy(searched.discovery)
+        discovery = unless_samples_are_met(discovery, records, self.lowpass)
         start = min(float(record.time[0]) for record in records)
         of_plant = input_products(self.plant) + couplings(self.plant) + input_actions(self.plant)
         dependences = (law for law in self.rare if isinstance(law, ParameterDependence))
