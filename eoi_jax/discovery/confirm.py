@@ -3,7 +3,7 @@
 from collections.abc import Sequence
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 
 from eoi_jax._checks import counted
 from eoi_jax.data.holds import moves
@@ -132,6 +132,16 @@ def explained_by_inputs(runs: Validation | None, plant: Plant) -> list[str]:
     ]
     length = "" if runs.window is None else " in windows"
     return [_BY_INPUTS.format(length, ", and ".join(misses))]
+
+
+def is_undecided(runs: Validation) -> Bool[np.ndarray, " ny"]:
+    """Outputs that miss by far more than their noise, of which only few samples tell the size.
+
+    Where differences of the samples show motion, what few differences of errors show as noise may
+    be too small by chance: neither noise nor motion is shown.
+    """
+    times = runs.rmse / np.maximum(sensor_noise(runs), np.finfo(float).tiny)
+    return ~shows_noise(runs) & (times > RULES.answer.noise)
 
 
 def leave_noise(free_runs: Sequence[Validation]) -> bool:

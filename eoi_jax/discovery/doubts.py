@@ -7,7 +7,7 @@ from types import UnionType
 import numpy as np
 
 from eoi_jax._status import Status
-from eoi_jax.discovery.confirm import beyond_noise, explained_by_inputs
+from eoi_jax.discovery.confirm import beyond_noise, explained_by_inputs, is_undecided
 from eoi_jax.discovery.remarks import Reason
 from eoi_jax.discovery.result import Added, Discovery
 from eoi_jax.discovery.rules import RULES
@@ -54,6 +54,7 @@ def leaves_open(discovery: Discovery) -> bool:
             return False
         # What is read as noise off a few samples may be motion.
         lost = bool(np.any(runs.nrmse > _RULES.useless))
+        lost |= bool(np.any(is_undecided(runs)))
         return lost or bool(beyond_noise(runs, plant=discovery.plant))
     # What holds over time alone tells no held-out record to its noise.
     in_time = _in_time(discovery.added) and _misses_by_more_than_noise(discovery)

@@ -15,7 +15,7 @@ from eoi_jax.data.holds import with_hold
 from eoi_jax.data.record import Record
 from eoi_jax.data.windows import window_length
 from eoi_jax.discovery.acceptance import labels_of
-from eoi_jax.discovery.confirm import beyond_noise, or_input
+from eoi_jax.discovery.confirm import beyond_noise, is_undecided, or_input
 from eoi_jax.discovery.diagnose import diagnose
 from eoi_jax.discovery.doubts import telling_runs
 from eoi_jax.discovery.drift import drift_of_parameters
@@ -34,6 +34,7 @@ from eoi_jax.refinement.record_check import record_names, values_by_record
 from eoi_jax.refinement.refine import refine_once
 from eoi_jax.refinement.result import Refinement
 from eoi_jax.simulation.validate import whole_and_windows
+from eoi_jax.simulation.validation import Validation
 
 _RULES = RULES.differences
 
@@ -93,9 +94,24 @@ def with_poor_fit(discovery: Discovery) -> Discovery:
         return discovery
     poor = np.flatnonzero(~(runs.nrmse <= RULES.questions.poor)).tolist()
     if not poor:
-        return discovery
+        return _undecided(discovery, runs)
     fits = " and ".join(f"{runs.outputs[j]} (fit {runs.fit[j]:.3g} %)" for j in poor)
     message = f"{discovery.status.message}; {_POOR.format(fits)}"
+    return replace(discovery, status=Status("nothing_missing", message))
+
+
+def _undecided(discovery: Discovery, runs: Validation) -> Discovery:
+    """An answer that nothing is missing, that says where few samples tell neither noise nor motion.
+
+    Args:
+        discovery: the answer.
+        runs: that tell.
+    """
+    outputs = np.flatnonzero(is_undecided(runs)).tolist()
+    if not outputs:
+        return discovery
+    fits = " and ".join(f"{runs.outputs[j]} (fit {runs.fit[j]:.3g} %)" for j in outputs)
+    message = f"{discovery.status.message}; {_UNDECIDED.format(fits)}"
     return replace(discovery, status=Status("nothing_missing", message))
 
 
@@ -292,6 +308,10 @@ def _differ(fits: Sequence[Refinement], placed: Placed) -> bool:
 _POOR = (
     "but free runs predict {} hardly better than a constant does, so that this says little: look "
     "at the records for samples far off, and for motion beyond the noise"
+)
+_UNDECIDED = (
+    "but samples so few and far apart show the noise from above alone: what free runs of {} miss "
+    "by may be motion that the model lacks"
 )
 _REFINE_HINT = ". `refine=True` looks for it in the free runs"
 _MORE_LEFT = "free runs on the held-out records miss by more than noise"
