@@ -18,6 +18,8 @@ r"""Find the effects that a model lacks from its residual, and add them.
    from one to the next (`remainder`).
 10. Without held-out records an answer that is open is searched again, with the end of each record
    held out (`own_judge`).
+11. Where inputs rest with noise, an answer is searched again with each at the mean of its rests
+   (`resting_inputs`).
 """
 
 from collections.abc import Sequence
@@ -75,6 +77,7 @@ from eoi_jax.discovery.requested import (
     requested,
     with_requested,
 )
+from eoi_jax.discovery.resting_inputs import with_rests
 from eoi_jax.discovery.result import Discovery
 from eoi_jax.discovery.rules import RULES
 from eoi_jax.discovery.scattered_samples import unless_samples_are_met
@@ -249,12 +252,17 @@ class _Search:
     progress: Progress
 
     def discovered(self, records: tuple[Record, ...], held_out: tuple[Record, ...]) -> Discovery:
-        """The answer, on records whose hold is chosen where it is not declared.
+        """The answer, on records without the noise of inputs at rest where that predicts better.
 
         Args:
             records: to fit and to search, as given.
             held_out: that judge, as given.
         """
+        discovery = self._compared(records, held_out)
+        return with_rests(discovery, self._compared, records, held_out)
+
+    def _compared(self, records: tuple[Record, ...], held_out: tuple[Record, ...]) -> Discovery:
+        """The answer, on records whose hold is chosen where it is not declared."""
         discovery = self._explained(records, held_out)
         discovery = with_poor_fit(partial_where_more_is_left(discovery))
         discovery = with_stated_starts(discovery, records)

@@ -73,13 +73,17 @@ def error_of_input_noise(plant: Plant, run: Validation) -> Float[np.ndarray, " n
     return np.sqrt(_SETTINGS.fitted * square)
 
 
+def white_deviation(values: Float[np.ndarray, " time"]) -> float:
+    """Standard deviation of white noise, of whose differences most are those of the values."""
+    return float(np.median(np.abs(np.diff(values)))) / 0.6745 / np.sqrt(2.0)
+
+
 def _levels(values: Float[np.ndarray, " time"]) -> Levels:
     """Parts (start, stop) of an input that stands at a level but for white noise; none without."""
     count = _SETTINGS.shortest
     if len(values) < 2 * count:
         return []
-    # Of normal differences; most of them are those of the noise.
-    deviation = float(np.median(np.abs(np.diff(values)))) / 0.6745 / np.sqrt(2.0)
+    deviation = white_deviation(values)
     if not 0.0 < deviation**2 < _SETTINGS.share * np.var(values):
         return []
     means = np.mean(sliding_window_view(values, count), axis=1)
@@ -91,14 +95,14 @@ def _levels(values: Float[np.ndarray, " time"]) -> Levels:
     parts = [
         (start, stop)
         for start, stop in pairwise([0, *ends, len(values)])
-        if stop - start >= count and _is_white(values[start:stop])
+        if stop - start >= count and is_white(values[start:stop])
     ]
     covered = sum(stop - start for start, stop in parts)
     is_held = len(parts) >= _SETTINGS.fewest and covered >= _SETTINGS.covered * len(values)
     return parts if is_held else []
 
 
-def _is_white(part: Float[np.ndarray, " samples"]) -> bool:
+def is_white(part: Float[np.ndarray, " samples"]) -> bool:
     """Whether differences have the variance of white noise (J. von Neumann's ratio)."""
     variance = float(np.var(part, ddof=1))
     return bool(np.mean(np.diff(part) ** 2) > 2.0 * _SETTINGS.white * variance > 0.0)
