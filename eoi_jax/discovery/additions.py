@@ -3,6 +3,8 @@
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 
+import numpy as np
+
 from eoi_jax.discovery.probability import Standing
 from eoi_jax.discovery.remarks import FitNote
 from eoi_jax.discovery.result import Added
@@ -15,12 +17,14 @@ from eoi_jax.models.effects import (
     ActuatorLag,
     ConstantOffset,
     Drift,
+    FreePlay,
     InputDelay,
     Leak,
+    LinearStiffness,
     SensorLag,
     SinusoidalDisturbance,
 )
-from eoi_jax.models.jacobians import points_of
+from eoi_jax.models.jacobians import points_of, state_slopes
 from eoi_jax.models.placements import ends
 from eoi_jax.models.plant import Plant
 from eoi_jax.models.sensor_errors import sensor_errors
@@ -91,6 +95,7 @@ def fit_notes(plant: Plant, added: Sequence[Added], fit: Identification) -> list
     """All notes below on an answer."""
     return [
         *level_notes(plant, added),
+        *gap_notes(plant, added, fit),
         *sensor_notes(plant, added),
         *disturbance_notes(fit, added),
         *sign_notes(plant, fit),
@@ -115,6 +120,53 @@ def level_notes(plant: Plant, added: Sequence[Added]) -> list[str]:
             unit = plant.units.get(item.output, "")
             notes.append(FitNote(_LEVEL.format(item.output, f"{offset / rate:.3g} {unit}".strip())))
     return notes
+
+
+def gap_notes(plant: Plant, added: Sequence[Added], fit: Identification) -> list[str]:
+    """Notes on declared springs that act within the gap of a free play, too.
+
+    The effect takes its stiffness s from that of the declared spring K where the play is. With
+    s = K that is a play; with less, a mount between stops at both ends, whose own stiffness is
+    K - s, and the declared parameter is that of the mount and the stops together.
+
+    Args:
+        plant: as it is declared.
+        added: to the model.
+        fit: the answer.
+    """
+    if not fit.status.fits or any(isinstance(item.effect, LinearStiffness) for item in added):
+        return []
+    model = plant.with_parameters({name: fit.parameters[name] for name in plant.names})
+    notes = []
+    for item in added:
+        if not isinstance(item.effect, FreePlay) or item.against:
+            continue
+        output, (gain, gap) = plant.outputs.index(item.output), item.parameters.values()
+        stiffness, gain_error = _stiffness(model, output), next(iter(item.standard_errors.values()))
+        if not stiffness > 0.0:
+            continue
+        share = 1.0 - gain / stiffness
+        for name, _ in _estimated(plant, fit):
+            value, error = fit.parameters[name], fit.standard_errors[name]
+            of_double = _stiffness(model.with_parameters({name: 2.0 * value}), output)
+            share_error = np.hypot(error / value, gain_error / stiffness) if value else np.inf
+            is_spring = np.isclose(of_double, 2.0 * stiffness)
+            if is_spring and share > RULES.judge.min_deviations * share_error:
+                sizes = {name: (value, share * value), item.output: (gap,)}
+                texts = [
+                    f"{size:.4g} {plant.units.get(key, '')}".rstrip()
+                    for key, values in sizes.items()
+                    for size in values
+                ]
+                notes.append(FitNote(_WITHIN_GAP.format(name, *texts, item.label)))
+    return notes
+
+
+def _stiffness(plant: Plant, output: int) -> float:
+    """-∂f/∂y of an output, where all is at rest at zero."""
+    y = np.zeros((1, plant.rows, len(plant.outputs)))
+    slopes = state_slopes(plant, np.zeros(1), y, np.zeros((1, len(plant.inputs))))
+    return -float(slopes[0, output, 0, output])
 
 
 def sensor_notes(plant: Plant, added: Sequence[Added]) -> list[str]:
@@ -217,6 +269,10 @@ _OF_SENSOR = {
 }
 _WHICH = ": the records do not tell which"
 _LEVEL = "leak and constant_offset of {} are together a loss to a level of {} that nothing measures"
+_WITHIN_GAP = (
+    "{0} = {1} is the stiffness beyond the gap of {4}: within ±{3} it is {2}. Of a mount between "
+    "stops at both ends that is the stiffness of the mount, and the difference that of the stops"
+)
 _TURNED = (
     "{} is {:.3g}, and its nominal value {:.3g} has the other sign: where that is impossible give "
     "it `bounds`, and doubt what was found beside it"

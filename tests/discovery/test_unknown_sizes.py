@@ -10,7 +10,8 @@ from scipy.integrate import solve_ivp
 
 import eoi_jax as eoi
 from eoi_jax.discovery import in_injection
-from eoi_jax.discovery.additions import disturbance_notes, fit_notes, sign_notes
+from eoi_jax.discovery.additions import disturbance_notes, fit_notes, gap_notes, sign_notes
+from eoi_jax.discovery.result import Added
 from eoi_jax.discovery.task import Task
 from eoi_jax.estimation.covariance import computed
 from eoi_jax.estimation.preparation import prepare_records
@@ -66,6 +67,24 @@ def test_a_constant_of_the_sensor_is_told_beside_a_constant_force():
         "constant_offset: the records do not tell which"
     )
     assert disturbance_notes(answer.found, ()) == []
+
+
+@pytest.mark.parametrize(("share", "said"), [(0.9, 1), (1.0, 0)])
+def test_the_stiffness_within_a_gap_is_told_where_it_is_one(share, said):
+    """A mount between two stops; of a play that stiffness is zero."""
+    fit = discovery().found
+    spring, mass = fit.parameters["spring"], fit.parameters["mass"]
+    values = {"free_play_stiffness": share * spring / mass, "free_play_gap": 0.02}
+    play = eoi.effects.FreePlay()
+    added = Added(play, "position", values, dict.fromkeys(values, 1e-4), play.sentence)
+    notes = gap_notes(DECLARED, [added], fit)
+    assert len(notes) == said
+    start = (
+        f"spring = {spring:.4g} N/m is the stiffness beyond the gap of free_play: within ±0.02 m"
+    )
+    assert all(note.startswith(f"{start} it is {0.1 * spring:.4g} N/m.") for note in notes)
+    joined = replace(added, effect=eoi.effects.LinearStiffness())
+    assert gap_notes(DECLARED, [added, joined], fit) == []
 
 
 @pytest.mark.parametrize(
