@@ -143,20 +143,25 @@ def notes_without_place(
 
 
 def chain_notes(discovery: Discovery) -> list[str]:
-    """A note for each position whose rate is an internal state in other units, on what is open.
+    """Notes on what was not tried on internal states of a motion, where an answer is open.
 
-    What acts on the acceleration of the position acts on that state, and is not tried there.
+    What acts on the acceleration of a position whose rate is an internal state in other units acts
+    on that state. What depends on an internal position, as a stop does, has no signal there.
     """
     plant = discovery.declared.nominal
     if discovery.status.code not in OPEN or not isinstance(plant.dynamics, TextDynamics):
         return []
     equations = plant.dynamics.equations
     texts = dict(equations.derivatives)
-    return [
+    notes = [
         _NO_CHAIN.format(output, texts[output], state)
         for output, state in equations.internal_rates.items()
         if plant.kinds[output] == "position"
     ]
+    for state, rate in equations.internal_integrals.items():
+        friction = "" if rate in plant.outputs else f", and friction that depends on {rate}"
+        notes.append(_NO_POSITION.format(state, friction))
+    return notes
 
 
 def with_requested(discovery: Discovery, effects: Sequence[AbstractEffect]) -> Discovery:
@@ -215,6 +220,11 @@ _NO_CHAIN = (
     "effects on the acceleration of {0}, as a weight out of balance, were not tried: its "
     'derivative "{1}" has the internal state {2}. Write the derivative of {0} as the name of a '
     "state alone, which has the unit of {0} a second, and {2} in terms of that"
+)
+_NO_POSITION = (
+    "effects of the internal state {0} (springs that harden, gaps and stops{1}) were not tried, as "
+    "they act on outputs. Measure it, or write one into the equations: a parameter that is 0 and "
+    "its term, as k3*{0}**3 beside a spring, which is there if `refine` lowers the errors with it"
 )
 _NO_PLACE = "{} was not tried: no output, input or internal state of {} is of its kind"
 _NOTHING_SHOWS = "{} was not tried: nothing in the records of {} is of its kind"

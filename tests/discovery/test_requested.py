@@ -61,6 +61,24 @@ def test_a_position_whose_rate_is_an_internal_state_is_told_where_the_answer_is_
                '"6*w" has the internal state w.' in note for note in notes)  # fmt: skip
 
 
+@pytest.mark.parametrize(
+    ("outputs", "states", "friction"),
+    [("v", {"v": "F - c*v - k*z", "z": "v"}, False),
+     ("x", {"x": "w", "w": "F - k*(x - z)", "z": "v", "v": "k*(x - z)"}, True)],
+)  # fmt: skip
+def test_an_internal_position_is_told_where_the_answer_is_open(outputs, states, friction):
+    """Of a sensor of the speed, and of a mass behind a spring."""
+    initial = dict.fromkeys(set(states) - {outputs, "w"}, 0.0)
+    given = {name: 1.0 for name in "ck" if name in str(states)}
+    plant = eoi.plant_from_text(states, given, [outputs], ["F"], initial=initial)
+    found = discovery()
+    declared = replace(found.declared, nominal=plant)
+    assert chain_notes(replace(found, declared=declared)) == []
+    (note,) = chain_notes(replace(found, declared=declared, status=Status("unexplained", "")))
+    assert note.startswith("effects of the internal state z (springs that harden, gaps and stops")
+    assert ("stops, and friction that depends on v)" in note) is friction
+
+
 def test_an_effect_that_the_records_do_not_show_is_told_as_not_tried():
     time, rng = 0.1 * np.arange(400), np.random.default_rng(0)
     lag = eoi.Plant(lambda t, x, u, p: p.b * u - x.y[0], {"b": 1.0}, 1, outputs=("x",))

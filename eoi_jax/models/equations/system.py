@@ -109,6 +109,12 @@ class Equations:
         return pairs
 
     @cached_property
+    def internal_integrals(self) -> dict[str, str]:
+        """By internal state whose derivative is the name of a state alone: that state."""
+        rates = {name: text.strip() for name, text in self.derivatives}
+        return {name: rates[name] for name in self.states if rates[name] in rates}
+
+    @cached_property
     def symbols(self) -> dict[str, Expression]:
         """What each name stands for, definitions apart."""
         chains = self.chains.items()
