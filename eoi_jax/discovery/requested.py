@@ -223,8 +223,9 @@ _NO_CHAIN = (
 )
 _NO_POSITION = (
     "effects of the internal state {0} (springs that harden, gaps and stops{1}) were not tried, as "
-    "they act on outputs. Measure it, or write one into the equations: a parameter that is 0 and "
-    "its term, as k3*{0}**3 beside a spring, which is there if `refine` lowers the errors with it"
+    "they act on outputs. Measure it, or write one into the equations, wherever the force of the "
+    "spring stands: a parameter that is 0 and its term, as k3*{0}**3 (between two masses, of their "
+    "distance), which is there if `refine` lowers the errors with it"
 )
 _NO_PLACE = "{} was not tried: no output, input or internal state of {} is of its kind"
 _NOTHING_SHOWS = "{} was not tried: nothing in the records of {} is of its kind"
