@@ -50,6 +50,8 @@ class HoldSettings:
             to that with an input that was logged later than that, from which on it counts: what
             a model lacks may be smaller with inputs to come. Set with a robot's joints in view
             whose dry friction and spring were not declared.
+        share: of a lead, over which a response to the rate of the input in its place is smoothed to
+            begin with; the lead over the times of a store in its place.
         longest_lead: of an input that was logged late [samples].
         shortest_record: of those that are asked for such a lead [leads].
         instants: of a record, at which the gain of an input is compared with the declared one.
@@ -69,6 +71,7 @@ class HoldSettings:
     least_skew: float = 0.05
     earliest: float = 1.5
     least_lead: float = 3.0
+    share: float = 0.3
     longest_lead: float = 64.0
     shortest_record: float = 10.0
     instants: int = 200

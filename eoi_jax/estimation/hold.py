@@ -29,7 +29,10 @@ from eoi_jax.data.input_holds import HOLDS, Hold, held_inputs, hold_of_each, hol
 from eoi_jax.data.record import Record
 from eoi_jax.estimation.lowpass import LowPass
 from eoi_jax.estimation.preparation import PreparedRecords, prepare_records
+from eoi_jax.models.augmented import augmented
+from eoi_jax.models.effects import InputRate, SecondNode
 from eoi_jax.models.jacobians import input_slopes, points_of
+from eoi_jax.models.placements import placements
 from eoi_jax.models.plant import Plant
 
 Delays = Float[np.ndarray, " nu"]
@@ -125,19 +128,23 @@ class Skew:
         delays: by which each input acts later than it was logged, shape (nu,) [s].
         index: with them; infinite where they were not found by it.
         ratio: of the index without them to that with them; None as well.
+        rival: the same of a plant without a lead but with a faster part; infinite if not asked.
     """
 
     hold: Hold
     delays: Float[np.ndarray, " nu"]
     index: float = np.inf
     ratio: float | None = None
+    rival: float = np.inf
 
     def evidence(self, record: Record) -> str:
         """The delays in one of the records, and the ratio, as a sentence."""
         text = skew_text(record, self.delays)
         if self.ratio is None:
             return f"{text}: a delay this short is taken for one of the logger"
-        return f"{text}: without this shift the index is {self.ratio:.3g} times as large"
+        text += f": without this shift the index is {self.ratio:.3g} times as large"
+        unsure = self.rival < SETTINGS.least_lead
+        return text + _UNSURE.format(self.rival) if unsure else text
 
 
 def best_skew(
@@ -214,9 +221,9 @@ def channel_skew(
         than a sample period is a delay of the plant; what acts earlier was logged late.
     """
 
-    def fit(delays: Delays) -> Any:
+    def fit(delays: Delays, model: Plant = plant) -> Any:
         shifted = with_hold(records, hold, delays)
-        return fit_of(plant, prepare_records(plant, shifted, lowpass), SETTINGS.passes)
+        return fit_of(model, prepare_records(model, shifted, lowpass), SETTINGS.passes)
 
     def index(delays: Delays) -> float:
         return trial_index(fit(delays))
@@ -231,16 +238,24 @@ def channel_skew(
     first = delays
     earliest = SETTINGS.earliest * period
     delays, smallest = _least(index, delays, smallest, moving, period, earliest)
+    rival = np.inf
     for j in moving:
         late = _logged_late(index, first, smallest, j, records)
         if late is None or late[1] * SETTINGS.least_lead > smallest:
             continue
-        if keeps_direction(plant, fit(late[0]).plant, records, j):
-            delays, smallest = late
+        fitted = fit(late[0]).plant
+        if not keeps_direction(plant, fitted, records, j):
+            continue
+        faster = faster_plants(fitted, j, -float(late[0][j]))
+        closest = (
+            min([trial_index(fit(first, model)) for model in faster], default=np.inf) / late[1]
+        )
+        if closest > 1.0:
+            (delays, smallest), rival = late, min(rival, closest)
     seen = np.max(np.abs(delays)) >= SETTINGS.least_skew * period
     if not seen or not _clearly_smaller(smallest, without, records, lowpass):
         return None
-    return Skew(hold, delays, smallest, without / smallest)
+    return Skew(hold, delays, smallest, without / smallest, rival)
 
 
 def _least(
@@ -344,6 +359,26 @@ def keeps_direction(plant: Plant, fitted: Plant, records: Sequence[Record], j: i
     return total > 0.0
 
 
+def faster_plants(plant: Plant, j: int, lead: float) -> list[Plant]:
+    """The plant with what makes it answer an input as early as if that had been logged late.
+
+    A response to the rate of the input; a store that is not measured behind an output of first
+    order. Where one of them explains as much, it is as likely as a lead of many samples.
+
+    Args:
+        plant: fitted with the lead.
+        j: the input.
+        lead: by which it would have been logged late [s].
+    """
+    if plant.sampled is not None:  # no effect can be added
+        return []
+    share = SETTINGS.share
+    rates = [at for at in placements(plant, [InputRate()]) if at.channel == j]
+    laws = [(at, (lead, share * lead)) for at in rates]
+    laws += [(at, (share / lead, share / lead)) for at in placements(plant, [SecondNode()])]
+    return [augmented(plant, (at,), dict(zip(at.names, start, strict=True))) for at, start in laws]
+
+
 def numerical_power(fit: Any) -> Float[np.ndarray, " ny"]:
     """Power of the injection below which it is an error of the discretisation, shape (ny,).
 
@@ -393,3 +428,9 @@ def decided(
     changed = (f"hold {hold_text(skew.hold, records[0].input_names)}",)
     notes = indices.evidence if skew.hold == indices.best else changed
     return shifted, (*notes, skew.evidence(records[0]))
+
+
+_UNSURE = (
+    ", and {:.3g} times with a response to the rate of the input, or a store that is not measured, "
+    "in its place: the model may lack either"
+)

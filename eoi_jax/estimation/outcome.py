@@ -60,7 +60,7 @@ def _rises_again(
     index: Float[np.ndarray, "passes ny"], rises: int = 3, share: float = 0.25
 ) -> bool:
     """Whether the index rises again and again: as often, and in that share of the passes."""
-    with np.errstate(divide="ignore"):
+    with np.errstate(divide="ignore", invalid="ignore"):  # passes that diverged have none
         changes = np.diff(np.sum(np.log(index), axis=1))
     return bool(np.sum(changes > 0.0) >= max(rises, share * len(changes)))
 

@@ -30,7 +30,7 @@ from eoi_jax.data.holds import (
 )
 from eoi_jax.data.input_holds import HOLDS, Hold, hold_of_each
 from eoi_jax.data.record import Record
-from eoi_jax.estimation.hold import keeps_direction, longest_lead
+from eoi_jax.estimation.hold import faster_plants, keeps_direction, longest_lead
 from eoi_jax.estimation.regression.orthonormal import orthonormal
 from eoi_jax.models.plant import Plant
 from eoi_jax.refinement.free_run_sums import signals
@@ -149,9 +149,20 @@ def fit_with_skew(
                 best = trial
     seen = np.max(np.abs(best.delays)) >= SETTINGS.least_skew * period
     for j in np.flatnonzero(best.delays < -SETTINGS.earliest * period).tolist():
-        halved = best.error**2 * SETTINGS.least_lead < plain.error**2
-        seen = seen and halved and keeps_direction(result.plant, best.fit.plant, records, j)
+        falls = best.error**2 * SETTINGS.least_lead < plain.error**2
+        seen = seen and falls and keeps_direction(result.plant, best.fit.plant, records, j)
+        seen = seen and not _answers_early(best, records, fit, j)
     return best if seen and better(best, plain) else None
+
+
+def _answers_early(best: SkewedFit, records: tuple[Record, ...], fit: Fit, j: int) -> bool:
+    """Whether the plant without a lead, but with a faster part, leaves no larger errors."""
+    logged = with_hold(
+        records, best.hold, np.where(np.arange(len(best.delays)) == j, 0.0, best.delays)
+    )
+    models = faster_plants(best.fit.plant, j, -float(best.delays[j]))
+    fits = [refined for model in models if (refined := fit(model, logged)).status.fits]
+    return any(mean_error(refined) <= best.error for refined in fits)
 
 
 def _shifted(
@@ -190,7 +201,8 @@ def _logged_late(
     """A fit with an input that was logged late, by as much as leaves the least of linearised runs.
 
     A lead of many samples is too far for a step of Gauss and Newton, and that of an input that acts
-    on an output at once leaves no slope between samples. None where no lead halves the power.
+    on an output at once leaves no slope between samples. None where none takes two
+    thirds of the power.
     """
     result, plant = start.fit, start.fit.plant
     spans = spans_of(result.records, result.window)

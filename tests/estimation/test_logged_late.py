@@ -5,7 +5,7 @@ import pytest
 from scipy.integrate import solve_ivp
 
 import eoi_jax as eoi
-from eoi_jax.estimation.hold import keeps_direction, longest_lead
+from eoi_jax.estimation.hold import Skew, keeps_direction, longest_lead
 
 PERIOD = 0.004
 TRUTH = {"damping": 4.0, "gain": 8.0}
@@ -110,6 +110,13 @@ def swung(late: int, seed: int, samples: int = 1500) -> eoi.Record:
     return eoi.Record(time, force(time - late * period), run.y[0] + noise)
 
 
+def test_a_faster_part_that_does_nearly_as_well_as_a_lead_is_told():
+    record, delays = flown(5, 1), np.array([-5 * PERIOD])
+    close, far = (Skew("zero", delays, 1.0, 24.0, rival).evidence(record) for rival in (1.7, 50.0))
+    assert far.endswith("without this shift the index is 24 times as large")
+    assert "24 times as large, and 1.7 times with a response to the rate of the input, or" in close
+
+
 @pytest.mark.slow
 def test_a_missing_effect_and_a_late_channel_are_both_found():
     """The effect moves the lead that the declared model shows: it is looked for again behind it."""
@@ -146,3 +153,50 @@ def test_an_output_on_which_the_input_acts_at_once_shows_a_late_channel_too():
     fit = eoi.refine(spring, record)
     assert fit.records[0].skew / 0.02 == pytest.approx([-3.0], abs=0.1)
     assert fit.parameters["k"] == pytest.approx(2.0, rel=0.02)
+
+
+def heated(seed: int, samples: int = 3600) -> eoi.Record:
+    """A winding in iron, of which the model has the winding alone; the log is true."""
+    draw = np.random.default_rng(seed)
+    current = np.repeat(draw.choice([0.0, 4.0, 6.0, 9.0, 12.0], samples // 300), 300)
+    temperature, winding, iron = np.zeros(samples), 22.0, 22.0
+    for k in range(samples):
+        temperature[k] = winding
+        for _ in range(4):
+            flow = 2.5 * (winding - iron)
+            winding += 0.25 * (0.25 * current[k] ** 2 - flow) / 120.0
+            iron += 0.25 * (flow - 1.6 * (iron - 22.0)) / 900.0
+    measured = temperature + 0.05 * draw.standard_normal(samples)
+    logged = current + 0.02 * draw.standard_normal(samples)
+    return eoi.Record(1.0 * np.arange(samples), logged, measured)
+
+
+WINDING = eoi.Plant(
+    lambda t, x, u, p: (0.25 * u[0] ** 2 - p.G * (x.y[0] - 22.0)) / p.C,
+    {"G": 1.0, "C": 150.0}, inputs=("current",), outputs=("winding",),
+)  # fmt: skip
+
+
+def test_a_store_that_the_model_lacks_is_no_late_channel():
+    """It makes the plant answer before the model does, at the rate of one minute of lead."""
+    assert not np.any(eoi.identify(WINDING, heated(1)).records[0].skew)
+
+
+def shaken(seed: int, samples: int = 2000) -> eoi.Record:
+    """x'' = -c (x' - w') - k (x - w) above a moving base, in steady state."""
+    draw, time = np.random.default_rng(seed), 0.002 * np.arange(samples)
+    omega = 2.0 * np.pi * np.arange(0.6, 14.0, 0.7)
+    waves = np.exp(1j * (np.outer(time, omega) + draw.uniform(0.0, 6.0, len(omega)))) / omega
+    stiffness = 987.0 + 12.0j * omega
+    base, mass = waves.sum(axis=1), (waves * stiffness / (stiffness - omega**2)).sum(axis=1)
+    measured = mass.imag + 1e-4 * draw.standard_normal(samples)
+    return eoi.Record(time, base.imag, measured, input_names=("w",), output_names=("x",))
+
+
+def test_a_response_to_the_rate_of_the_input_is_no_late_channel():
+    """c x' in place of c (x' - w'): the plant answers by c/k, of six samples, before the model."""
+    mount = eoi.plant_from_text(
+        {"x": "v", "v": "-c*v - k*(x - w)"}, {"c": 8.0, "k": 800.0}, ["x"], ["w"]
+    )
+    for estimate in (eoi.identify, eoi.refine):
+        assert np.min(estimate(mount, shaken(1)).records[0].skew) >= -1.5 * 0.002
