@@ -197,7 +197,10 @@ class LinearisedRuns:
                 for shape, part in zip(grid, parts, strict=True) if np.all(new[part])]  # fmt: skip
 
     def pair_shares(self, tries: Sequence["Try"]) -> Float[np.ndarray, "tries tries"]:
-        """Share of the residual's power that each two of them explain; 0 below the diagonal."""
+        """Share of the residual's power that each two of them explain; 0 below the diagonal.
+
+        And of two forms of an effect at one channel, of which a model contains one.
+        """
         shares = np.zeros((len(tries), len(tries)))
         if not tries:
             return shares
@@ -208,8 +211,8 @@ class LinearisedRuns:
         counts = np.array([attempt.columns.shape[1] for attempt in tries])
         first = np.cumsum(counts) - counts
         i, j = np.triu_indices(len(tries), 1)
-        effects = [attempt.placed for attempt in tries]
-        number = np.array([effects.index(attempt) for attempt in effects])
+        sites = [attempt.placed.kind_site for attempt in tries]
+        number = np.array([sites.index(site) for site in sites])
         for sizes in sorted(
             set(itertools.product(counts, counts))
         ):  # all pairs of one size at once

@@ -7,8 +7,10 @@ import numpy as np
 import pytest
 
 import eoi_jax as eoi
+from eoi_jax.models.augmented import place
+from eoi_jax.models.effects import ConstantOffset, SecondMass
 from eoi_jax.refinement.problem import problem_of
-from eoi_jax.refinement.score_test import LinearisedRuns, _stages
+from eoi_jax.refinement.score_test import LinearisedRuns, Try, _stages
 from eoi_jax.refinement.spans import spans_of
 
 
@@ -34,3 +36,15 @@ def test_stages_are_start_middle_and_end_of_each_sample(substeps):
     expected = sampled[:-1, None] + 0.3 * np.array([0.0, 0.5, 1.0])
     for one in _stages(problem, inputs[None, ..., None], time[None, :, None]):
         np.testing.assert_allclose(np.reshape(one, (100, 3)), expected)
+
+
+def test_two_forms_of_an_effect_at_one_channel_are_no_pair():
+    """A model contains at most one effect of each kind and channel: both have the same names."""
+    shaken = eoi.Plant(lambda t, x, u, p: p.g * u[0], {"g": 1.0}, 2, ("u",), ("y",))
+    forms = (SecondMass(), SecondMass(in_bearing=True), ConstantOffset())
+    draw = np.random.default_rng(1)
+    tries = [Try(place(shaken, form, 0), np.zeros(0), draw.normal(size=(50, 1))) for form in forms]
+    runs: Any = SimpleNamespace(residual=draw.normal(size=50), _power=50.0)
+    shares = LinearisedRuns.pair_shares(runs, tries)
+    assert shares[0, 1] == 0.0
+    assert np.all(shares[:2, 2] > 0.0)
