@@ -504,7 +504,10 @@ def _internal(
     """Internal states at the start and in the middle of each step, driven by the measurement."""
     start = plant.internal_start(theta)
     if begin is not None:
-        start = jnp.where(free_starts(plant.internal_initial, start.size), begin, start)
+        # Of the model that the record was prepared for: states of effects are added behind its own.
+        count = len(begin)
+        free = free_starts(plant.internal_initial, start.size)[:count]
+        start = start.at[:count].set(jnp.where(free, begin, start[:count]))
     if plant.internal is None:
         none = jnp.zeros((rows[0].shape[0], 0), theta.dtype)
         return none, none

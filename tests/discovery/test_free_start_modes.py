@@ -6,6 +6,10 @@ from free_start_cases import NOISE, cell, run
 from output_cases import BATTERY
 
 import eoi_jax as eoi
+from eoi_jax.discovery.cosine_modes import modal_record, model_rows
+from eoi_jax.discovery.free_start_modes import with_free_starts
+from eoi_jax.models.augmented import augmented, place
+from eoi_jax.models.effects import Relaxation
 
 ANYWHERE = {"soc": None, "v1": None}
 
@@ -48,3 +52,13 @@ def test_a_stated_start_that_dies_out_is_said_where_free_ones_leave_noise():
     assert found.status.code == "unexplained"
     (note,) = [note for note in found.notes if "known start" in note]
     assert "v1 0.00" in note
+
+
+def test_effects_with_states_of_their_own_stand_behind_free_starts():
+    """Of gain zero a relaxation changes no mode, though the model has one state more."""
+    plant, record = cell({"soc": None, "v1": 0.0}), run(1, 0.9)
+    prepared = with_free_starts(plant, modal_record(plant, record, 0.5), record)
+    placed = place(plant, Relaxation(), 0)
+    wider = augmented(plant, [placed], dict(zip(placed.names, (0.0, 60.0), strict=True)))
+    modes, expected = (model_rows(model, [prepared])[0] for model in (wider, plant))
+    np.testing.assert_allclose(modes, expected, rtol=1e-9, atol=1e-12)
