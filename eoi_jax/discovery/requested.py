@@ -20,6 +20,7 @@ from eoi_jax.models.effects import (
     input_products,
     on_request,
     parameter_dependences,
+    rare,
     standard,
     wider,
 )
@@ -66,7 +67,7 @@ def named_effects(
     """
     of_plant = input_products(plant) + couplings(plant) + input_actions(plant)
     of_plant += parameter_dependences(plant, records)
-    library = (*standard(), *wider(), *on_request(), *of_plant)
+    library = (*standard(), *rare(), *wider(), *on_request(), *of_plant)
     check_kind(field, effects, Sequence, "a list of names or effects")
     check(len(effects) > 0, field, "must name at least one effect", "none")
     chosen: list[AbstractEffect] = []

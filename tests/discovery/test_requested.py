@@ -36,6 +36,13 @@ def test_an_effect_that_needs_held_out_records_is_not_called_tested():
     assert answer(found).startswith("The model lacks something, and no effect was tried: ")
 
 
+def test_rare_effects_are_asked_for_by_name():
+    plant = eoi.Plant(lambda t, x, u, p: -p.k * x.y[0], {"k": 1.0}, 1)
+    record = eoi.Record(np.arange(8.0), np.zeros(8), np.zeros(8))
+    for effect in effects.rare():
+        assert effect in named_effects([effect.name], plant, [record])
+
+
 @pytest.mark.parametrize("code", ["unexplained", "partial", "complete"])
 def test_what_stays_open_says_that_the_caller_named_what_was_tried(code):
     status = Status(code, "none of the tested effects explains it")
