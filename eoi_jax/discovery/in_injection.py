@@ -5,7 +5,7 @@ where no further set is justified. The last set that held-out free runs do not r
 with simpler laws where these do as well.
 """
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import chain
 from typing import NamedTuple
@@ -67,7 +67,9 @@ def search_injection(
     """Rounds of search and refit, then the free runs.
 
     Rare effects would only make an answer ambiguous. They are tried if there is no answer without
-    them, and accepted only in a set of few effects that explains nearly all.
+    them, and accepted only in a set of few effects that explains nearly all. Of outputs that are
+    functions of the states, of which free runs are not searched, they are tried where an answer
+    leaves more than noise in free runs, too, and accepted where none is left with them.
     """
     # The search does not wait for the free runs before it.
     with concurrently(task.threads, lambda: free_runs(task, task.declared.plant)) as runs_before:
@@ -87,29 +89,31 @@ def search_injection(
     quiet = discovery.status.code == "nothing_missing"
     is_open = discovery.status.code == "unexplained" or (quiet and denied_by_runs)
     if not is_open:
-        rare_effects = _dependences_beside(discovery, rare_effects)
+        rare_effects = _rare_beside(discovery, rare_effects)
     if rare_effects and placements(task.plant, rare_effects):
-        rare_discovery = _with_rare(start, rare_effects, progress, rounds[0], runs_before())
-        if _takes_place(rare_discovery, None if is_open else discovery, rare_effects):
-            return Searched(rare_discovery)
+        for rare_discovery in _with_rare(start, rare_effects, progress, rounds[0], runs_before()):
+            if _takes_place(rare_discovery, None if is_open else discovery, rare_effects):
+                return Searched(_with_candidates_of(discovery, rare_discovery))
     if quiet or not is_open:
         return Searched(discovery)
     partial = tuple(step[:2] for step in reversed(steps) if not not_simulated(step.model))
     return Searched(discovery, partial, lambda answer: _lead(task, steps, rounds, answer))
 
 
-def _dependences_beside(
+def _rare_beside(
     discovery: Discovery, effects: Sequence[AbstractEffect]
 ) -> tuple[AbstractEffect, ...]:
     """Dependences of parameters that are tried beside an answer which leaves more than noise.
 
     Most of the residual may have another cause, and what is left be a coefficient that changes. Or
     an action of the signal stands in for it: where what that multiplies varies little it does the
-    same.
+    same. Of outputs that are functions of the states all are tried: no search in free runs follows.
     """
     runs = discovery.windows_after or discovery.after
     if discovery.in_sample or not discovery.added or not beyond_noise(runs, plant=discovery.plant):
         return ()
+    if discovery.plant.has_algebraic:
+        return tuple(effects)
     return tuple(effect for effect in effects if isinstance(effect, ParameterDependence))
 
 
@@ -118,7 +122,8 @@ def _takes_place(
 ) -> bool:
     """Whether an answer with rare effects is one, in the place of another answer if there is one.
 
-    In its place held-out free runs must confirm it.
+    In its place held-out free runs must confirm it. How much of the injection it explains does not
+    matter where these miss by no more than noise, of outputs that are functions of the states.
     """
     added = [item.effect for item in rare_discovery.added]
     named = any(isinstance(item, ParameterDependence) or item in effects for item in added)
@@ -128,7 +133,21 @@ def _takes_place(
         before, after = (answer.windows_after or answer.after for answer in (rival, rare_discovery))
         if before is None or after is None or error_ratio(after, before) >= _RULES.confirmed:
             return False
-    return named and len(added) <= most and rare_discovery.explained >= share
+    explains = rare_discovery.explained >= share or _reaches_noise(rare_discovery)
+    return named and len(added) <= most and explains
+
+
+def _reaches_noise(discovery: Discovery) -> bool:
+    """Whether effects take from held-out free runs all that is more than noise, and they have more.
+
+    Of outputs that are functions of the states: else free runs are searched.
+    """
+    if discovery.in_sample or not discovery.plant.has_algebraic:
+        return False
+    declared_runs = discovery.windows_before or discovery.before
+    runs = discovery.windows_after or discovery.after
+    lacks = bool(beyond_noise(declared_runs, plant=discovery.declared.plant))
+    return lacks and not beyond_noise(runs, plant=discovery.plant)
 
 
 def _with_rare(
@@ -137,11 +156,25 @@ def _with_rare(
     progress: Progress,
     earlier: RoundResult,
     prior: FreeRuns,
-) -> Discovery:
-    """The answer where rare effects are tried, too."""
-    task = replace(start.task, effects=(*start.task.effects, *rare_effects))
-    start = RoundStart(task, start.model)
-    return _answer(*_with_forms(start, *_searched(start, progress, earlier), progress), prior)
+) -> Iterator[Discovery]:
+    """Answers where rare effects are tried, too; first of them alone, if that leaves only noise.
+
+    Beside others they share what they explain, and what leaves no more than noise needs no other.
+    """
+    task = start.task
+    for library in [(), task.effects] if task.plant.has_algebraic else [task.effects]:
+        rare_start = RoundStart(replace(task, effects=(*library, *rare_effects)), start.model)
+        searched = _searched(rare_start, progress, earlier)
+        answer = _answer(*_with_forms(rare_start, *searched, progress), prior)
+        if library or _reaches_noise(answer):
+            yield answer
+
+
+def _with_candidates_of(earlier: Discovery, discovery: Discovery) -> Discovery:
+    """A discovery with the evidence of an earlier one for what it did not try itself."""
+    labels = {(row.label, row.output) for row in discovery.ranking}
+    rows = [row for row in earlier.ranking if (row.label, row.output) not in labels]
+    return replace(discovery, ranking=(*discovery.ranking, *rows))
 
 
 def _with_forms(

@@ -221,6 +221,37 @@ def test_a_pair_that_is_small_beside_the_level_of_the_voltage_is_found():
     assert found.plant.parameters["relaxation_time"] == pytest.approx(180.0, rel=0.1)
 
 
+@pytest.mark.slow
+def test_a_second_pair_that_leaves_noise_is_the_answer_whatever_it_takes_of_the_injection():
+    """It takes 80 % to 90 % of that; a sinusoid, or Q that changes in time, stood in for it."""
+    table = np.array([[0.0, 0.3, 0.6, 0.8, 1.0], [3.0, 3.6, 3.7, 3.88, 4.18]])
+    decays, records = np.exp(-1.0 / np.array([30.0, 300.0])), []
+    for seed in (5, 6):
+        draw = np.random.default_rng(seed)
+        amperes = np.repeat(draw.choice([0.0, 0.0, 1.3, 2.6, -1.3, 3.9], 60), 45)
+        soc = 0.85 - np.concatenate([[0.0], np.cumsum(amperes[:-1])]) / 9360.0
+        fast, slow = (
+            np.asarray(lfilter([0.0, 1.0 - decay], [1.0, -decay], amperes)) for decay in decays
+        )
+        voltage = np.interp(soc, *table) - 0.03 * amperes - 0.02 * fast - 0.015 * slow
+        voltage = np.round(voltage + 3e-4 * draw.standard_normal(len(amperes)), 3)
+        records.append(
+            Record(np.arange(len(amperes)) * 1.0, amperes, voltage, f"run {seed}", hold="zero",
+                   input_names=["current"], output_names=["voltage"])
+        )  # fmt: skip
+    plant = Plant(
+        lambda t, x, u, p: jnp.interp(x.z[0], *table) - p.R0 * u[0] - x.z[1],
+        {"R0": 0.02, "R1": 0.03, "C1": 1000.0, "Q": 8600.0}, 0,
+        inputs=("current",), outputs=("voltage",), internal_initial=(0.85, 0.0),
+        internal=lambda t, x, u, p: jnp.stack([-u[0] / p.Q, (u[0] - x.z[1] / p.R1) / p.C1]),
+    )  # fmt: skip
+    found = discover(plant, records[0], validation=records[1])
+    assert (found.status.code, found.effects) == ("complete", ("relaxation",))
+    assert found.plant.parameters["relaxation_gain"] == pytest.approx(0.015, rel=0.02)
+    assert found.explained < 0.95
+    assert {"relaxation", "drift"} <= {row.effect for row in found.ranking}
+
+
 def test_what_an_output_moves_by_has_nothing_to_do_with_its_level():
     plant, record = battery(**START), cell_record(1)
     raised = record.with_outputs(record.outputs + 100.0, "raised")
