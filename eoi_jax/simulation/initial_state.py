@@ -362,10 +362,16 @@ def _descend(
         return [_step(*pair, free) for pair in zip(errors, slopes, strict=True)]
 
     def evaluate(points: list[_Start], steps: list[np.ndarray]) -> list[list[_Start]]:
-        trials = _trials(heads, points, steps, np.ones(1))
-        risen = [i for i, (full,) in enumerate(trials) if not full.cost < points[i].cost]
+        # Behind the end of a table outputs show a free start no longer: the better step counts.
+        count = 2 if np.any(heads.run.plant.free_internal) else 1
+        lengths = 0.5 ** np.arange(_SETTINGS.trials)
+        trials = [
+            sorted(item, key=lambda start: start.cost)
+            for item in _trials(heads, points, steps, lengths[:count])
+        ]
+        risen = [i for i, (best, *_) in enumerate(trials) if not best.cost < points[i].cost]
         if risen:  # only these look at shorter steps
-            lengths = 0.5 ** np.arange(1, _SETTINGS.trials)
+            lengths = lengths[count:]
             again = [points[i] for i in risen], [steps[i] for i in risen]
             for i, further in zip(risen, _trials(heads, *again, lengths), strict=True):
                 trials[i] += further

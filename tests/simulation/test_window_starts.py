@@ -1,5 +1,6 @@
 """Windows of a model with a store that is not measured: where that store starts in each of them."""
 
+import jax.numpy as jnp
 import numpy as np
 import pytest
 from scipy.linalg import expm
@@ -201,3 +202,26 @@ def test_an_output_that_the_model_misses_does_not_rule_the_starts(noise, limit):
     """
     runs = judged_runs(drive_model(10.5), turning(1, *noise), window=1.2)
     assert runs.rmse[0] < limit * noise[0]
+
+
+def test_a_free_start_is_found_on_a_table():
+    """Full steps from 0 end behind the table, where the voltage shows the charge no longer."""
+    charges = jnp.array([0.0, 0.05, 0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8, 0.9, 1.0])
+    volts = jnp.array([3.0, 3.32, 3.45, 3.55, 3.6, 3.64, 3.7, 3.79, 3.88, 3.97, 4.07, 4.18])
+
+    def cell(start):
+        return eoi.Plant(
+            lambda t, x, u, p: jnp.interp(x.z[0], charges, volts) - p.R0 * u[0] - x.z[1] - x.z[2],
+            {"R0": 0.03, "R1": 0.02, "R2": 0.015, "Q": 9360.0}, 0,
+            internal=lambda t, x, u, p: jnp.stack(
+                [-u[0] / p.Q, (p.R1 * u[0] - x.z[1]) / 30.0, (p.R2 * u[0] - x.z[2]) / 300.0]
+            ),
+            internal_initial=[start, 0.0, 0.0],
+        )  # fmt: skip
+
+    draw = np.random.default_rng(6)
+    amperes = np.repeat(draw.choice([0.0, 0.0, 1.3, 2.6, -1.3, 3.9], 121), 45)[:5400]
+    record = eoi.simulate(cell(0.85), np.arange(5400.0), amperes, hold="zero")
+    noise = 4e-4 * draw.standard_normal((5400, 1))
+    record = record.with_outputs(record.outputs + noise, record.name)
+    assert eoi.validate(cell(None), record, window=540.0).rmse[0] < 4.4e-4
