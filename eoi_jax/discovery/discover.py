@@ -68,6 +68,7 @@ from eoi_jax.discovery.remainder import (
     with_differences,
     with_differing_parameters,
     with_doubts,
+    with_long_misses,
     with_poor_fit,
 )
 from eoi_jax.discovery.requested import (
@@ -265,6 +266,7 @@ class _Search:
         """The answer, on records whose hold is chosen where it is not declared."""
         discovery = self._explained(records, held_out)
         discovery = with_poor_fit(partial_where_more_is_left(discovery))
+        discovery = with_long_misses(discovery, self.refine)
         discovery = with_stated_starts(discovery, records)
         noted = with_differences(discovery, records)
         if noted.status is not discovery.status:

@@ -84,6 +84,26 @@ def partial_where_more_is_left(discovery: Discovery) -> Discovery:
     return replace(discovery, status=Status("partial", f"{status.message}; {left}"))
 
 
+def with_long_misses(discovery: Discovery, refined: bool) -> Discovery:
+    """An answer whose free runs are noise in windows, with a note where whole ones miss by more.
+
+    Errors of passes that are within their ± add up in whole runs, as a phase does that drifts.
+
+    Args:
+        discovery: the answer.
+        refined: whether the answer was refined.
+    """
+    windows, whole, plant = discovery.windows_after, discovery.after, discovery.plant
+    answers = discovery.status.code in ("complete", "nothing_missing")
+    if refined or not answers or discovery.base is not None or windows is None or whole is None:
+        return discovery
+    if beyond_noise(windows, plant=plant) or not (
+        excesses := beyond_noise(whole, _LONG_MISSES, plant=plant)
+    ):
+        return discovery
+    return replace(discovery, notes=(*discovery.notes, *map(FitNote, excesses)))
+
+
 def with_poor_fit(discovery: Discovery) -> Discovery:
     """An answer that nothing is missing, which says where its free runs predict hardly anything.
 
@@ -314,6 +334,10 @@ _UNDECIDED = (
     "by may be motion that the model lacks"
 )
 _REFINE_HINT = ". `refine=True` looks for it in the free runs"
+_LONG_MISSES = (
+    ", those in windows do not: small errors of the parameters add up in whole runs, to which "
+    "`refine=True` fits them"
+)
 _MORE_LEFT = "free runs on the held-out records miss by more than noise"
 _MORE_MISSING = ": something smaller than the added effects is missing, too"
 _SHIFTED = (

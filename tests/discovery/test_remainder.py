@@ -9,7 +9,7 @@ import pytest
 import eoi_jax as eoi
 from eoi_jax.discovery.own_offsets import with_own_offsets
 from eoi_jax.discovery.own_parameters import OwnFits
-from eoi_jax.discovery.remainder import _differ
+from eoi_jax.discovery.remainder import _differ, with_long_misses
 from eoi_jax.discovery.remarks import RecordNote
 from eoi_jax.models.augmented import augmented, place
 from eoi_jax.models.effects import ConstantOffset, QuadraticDrag
@@ -91,6 +91,19 @@ def test_nothing_missing_says_where_free_runs_predict_hardly_anything():
         r"but free runs predict temperature \(fit -?[\d.e+-]+ %\) hardly better than a constant"
     )
     assert re.search(message, found.status.message)
+
+
+def test_whole_runs_that_miss_are_told_where_windows_do_not():
+    found = eoi.discover(PLANT, warmed(20.0, 5), warmed(20.0, 6), ["quadratic_drag"])
+    assert found.status.code == "nothing_missing"
+    assert found.notes == with_long_misses(found, refined=False).notes
+    values = found.plant.parameters
+    wrong = found.plant.with_parameters({"k": 1.02 * values["k"], "b": 1.02 * values["b"]})
+    drifting = replace(found, after=judged_runs(wrong, found.held_out))
+    note = with_long_misses(drifting, refined=False).notes[-1]
+    assert re.match(r"free runs of temperature miss by .* times the noise of its sensor", note)
+    assert note.endswith("in whole runs, to which `refine=True` fits them")
+    assert with_long_misses(drifting, refined=True).notes == found.notes
 
 
 def test_offsets_that_no_record_tells_do_not_differ():
