@@ -29,6 +29,7 @@ def test_a_drift_is_told_from_the_start():
     assert found.plant.parameters["drift"] == pytest.approx(lacking, rel=0.1)
 
 
+@pytest.mark.slow
 def test_a_stated_start_that_does_not_hold_is_said_with_what_fits():
     stated = {"soc": 0.8, "v1": 0.0}
     found = eoi.discover(cell(stated), [run(1, 0.9), run(2, 0.6)], validation=run(3, 0.5))

@@ -114,6 +114,7 @@ def dosed(seed: int, dose: float, noise: float = 0.1) -> eoi.Record:
 
 
 @pytest.mark.filterwarnings("ignore::eoi_jax.RecordWarning")  # stamps are far and unevenly apart
+@pytest.mark.slow
 def test_of_records_whose_ends_are_too_short_to_judge_one_is_held_out():
     records = [dosed(16 + i, dose) for i, dose in enumerate((320.0, 160.0, 320.0, 240.0))]
     parts = divided(DOSED, records)

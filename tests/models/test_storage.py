@@ -313,6 +313,7 @@ LATER_FIELDS = {
     "wraps": None,
     "further_shapes": {"tuple": []},
     "codes": {"tuple": []},
+    "scattered": False,
 }
 # Words that have changed since.
 LATER_WORDS = {("code", "explained"): "complete"}

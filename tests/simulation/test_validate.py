@@ -1,5 +1,6 @@
 """Free-run validation: known errors, estimated starts, windows, divergence, a measured record."""
 
+from types import SimpleNamespace
 from typing import Any
 
 import jax.numpy as jnp
@@ -300,7 +301,8 @@ class Heads(_Heads):
     sign: float
 
     def __init__(self, unit, sign=1.0):
-        vars(self).update(unit=unit, sign=sign)  # the parent is frozen
+        plant = SimpleNamespace(free_internal=np.zeros(0, bool))
+        vars(self).update(unit=unit, sign=sign, run=SimpleNamespace(plant=plant))  # it is frozen
 
     def part(self, which):
         return Heads(self.unit[which], self.sign)
