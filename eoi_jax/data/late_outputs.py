@@ -106,7 +106,20 @@ def late_output_notes(
     residual: Sequence[Float[np.ndarray, "time ny"]],
     labels: Sequence[str],
 ) -> tuple[str, ...]:
-    """A sentence for each output that its free runs lead by the same time, where others do not.
+    """A sentence for each output that seems to be logged late; arguments as for `late_outputs`."""
+    notes = []
+    for label, (time, ratio) in late_outputs(records, residual, labels).items():
+        word = "late" if time > 0.0 else "early"
+        notes.append(_LATE.format(label, word, f"{abs(time):.3g}", f"{time:.3g}", ratio))
+    return tuple(notes)
+
+
+def late_outputs(
+    records: Sequence[Record],
+    residual: Sequence[Float[np.ndarray, "time ny"]],
+    labels: Sequence[str],
+) -> dict[str, tuple[float, float]]:
+    """Outputs that their free runs lead by the same time, where others do not.
 
     The time must be the same in both halves of the records: a wrong period of an oscillation moves
     the runs as well, but more and more. It must be no other output's: else the inputs were early,
@@ -116,16 +129,20 @@ def late_output_notes(
         records: measured.
         residual: of free runs along them, y - ŷ, NaN where not scored.
         labels: of the outputs.
+
+    Returns:
+        By output the time by which it was logged late [s], negative for early, and its error with
+        the run moved by that over its error without.
     """
     if len(labels) < 2:
-        return ()
+        return {}
     shortest = min(len(record) for record in records)
     longest = min(_SETTINGS.longest, shortest // _SETTINGS.shortest_record)
     period = min(record.sample_period for record in records)
     noise = np.max([record.noise for record in records], axis=0)
     shifted = [_shifted_errors(records, residual, j, longest) for j in range(len(labels))]
     totals = np.array([_lateness(np.sum(parts, axis=0), longest) for parts in shifted])
-    notes = []
+    late = {}
     for j, parts in enumerate(shifted):
         powers = np.sum(parts, axis=0)
         ratio = float(np.sqrt(np.min(powers) / max(powers[longest], _TINY)))
@@ -141,16 +158,14 @@ def late_output_notes(
             and np.max(np.abs(halves - steps)) <= tolerance
             and np.max(np.abs(np.delete(totals, j))) <= tolerance
         ):
-            time = f"{abs(steps) * period:.3g}"
-            word, sign = ("late", "") if steps > 0 else ("early", "-")
-            notes.append(_LATE.format(labels[j], word, time, sign, ratio))
-    return tuple(notes)
+            late[labels[j]] = float(steps) * period, ratio
+    return late
 
 
 _LATE = (
     "{0} seems to be logged {1} by {2} s beside the other outputs: moved by that, free runs have "
     "{4:.2g} of its error. A second logger, a clock or a filter of its own may do this: then read "
-    "it with `late = {{ {0} = {3}{2} }}`"
+    "it with `late = {{ {0} = {3} }}`"
 )
 _TINY = float(np.finfo(float).tiny)
 

@@ -20,6 +20,8 @@ r"""Find the effects that a model lacks from its residual, and add them.
    held out (`own_judge`).
 11. Where inputs rest with noise, an answer is searched again with each at the mean of its rests
    (`resting_inputs`).
+12. An output that was logged late beside the others is moved, where that explains more
+   (`moved_outputs`).
 """
 
 from collections.abc import Sequence
@@ -60,6 +62,7 @@ from eoi_jax.discovery.in_injection import (
     without_search,
 )
 from eoi_jax.discovery.input_influence import input_notes
+from eoi_jax.discovery.moved_outputs import better_of, is_all_that_is_missing, with_moved_outputs
 from eoi_jax.discovery.own_judge import divided, needs_judge, with_own_judge
 from eoi_jax.discovery.refined import refined_answer, with_hint, without_bias
 from eoi_jax.discovery.remainder import (
@@ -239,6 +242,7 @@ class _Search:
         alpha, most, window, refine: arguments of `discover`.
         named: whether the caller named the effects.
         progress: callback.
+        is_moved: whether outputs that were logged late are moved.
     """
 
     plant: Plant
@@ -251,6 +255,7 @@ class _Search:
     refine: bool
     named: bool
     progress: Progress
+    is_moved: bool = False
 
     def discovered(self, records: tuple[Record, ...], held_out: tuple[Record, ...]) -> Discovery:
         """The answer, on records without the noise of inputs at rest where that predicts better.
@@ -282,8 +287,21 @@ class _Search:
         else:
             search = replace(self, lowpass=indices.lowpass)
             searched = with_best_hold(search.on, records, held_out, indices)
+        moved = search._with_moved_outputs(searched.discovery, records, held_out)
+        if moved is not None and is_all_that_is_missing(moved):
+            return moved
         discovery = search.in_free_runs(searched, records, held_out)
-        return with_held_inputs(discovery, search.answered, records, held_out)
+        discovery = with_held_inputs(discovery, search.answered, records, held_out)
+        return better_of(moved, discovery)
+
+    def _with_moved_outputs(
+        self, discovery: Discovery, records: tuple[Record, ...], held_out: tuple[Record, ...]
+    ) -> Discovery | None:
+        """The answer on records whose late outputs are moved; None where none seems to be late."""
+        if self.is_moved:
+            return None
+        search = replace(self, is_moved=True)._explained
+        return with_moved_outputs(discovery, search, records, held_out)
 
     def answered(self, records: tuple[Record, ...], held_out: tuple[Record, ...]) -> Discovery:
         """What the injection and free runs say of these records, whose hold is as it is."""

@@ -301,6 +301,7 @@ class _OneLane:
         run_in_threads(work, min(cores(), runs))
         return results
 
+    @np.errstate(over="ignore", invalid="ignore")  # of runs that diverge: the sums show it
     def sums(self, run: int, substeps: int) -> Float[np.ndarray, "size size"]:
         """The normal equations; nothing is kept of the samples."""
         threshold, total = float(self._threshold[run]), np.zeros((self.size, self.size))

@@ -44,7 +44,6 @@ def test_an_output_that_is_late_beside_another_is_told() -> None:
     results = (
         eoi.validate(oscillator().with_parameters({"k": 4.0}), logged(0.07)),
         eoi.refine(oscillator(), logged(0.07)),
-        eoi.discover(oscillator(), logged(0.07), validation=logged(0.07, seed=1)),
     )
     for result in results:
         (note,) = [note for note in result.notes if "logged late" in note]
