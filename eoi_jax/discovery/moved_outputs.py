@@ -30,10 +30,13 @@ class MovedSettings:
     Attributes:
         steps: of least squares, at most.
         settled: change of a time that ends them [sample periods].
+        rounding: distance from a whole number of samples, by which values stay as they are, that is
+            none [sample periods].
     """
 
     steps: int = 4
     settled: float = 0.01
+    rounding: float = 0.1
 
 
 _SETTINGS = MovedSettings()
@@ -93,7 +96,7 @@ def _settled(discovery: Discovery, records: Records, times: dict[int, float]) ->
         records: to fit, as given.
         times: by number of the output, to begin with [s].
     """
-    plant = discovery.declared.nominal
+    plant, period = discovery.declared.nominal, min(record.sample_period for record in records)
     for _ in range(_SETTINGS.steps):
         fit, change = refine(plant, _moved(records, times)), 0.0
         if not fit.status.fits:
@@ -109,9 +112,13 @@ def _settled(discovery: Discovery, records: Records, times: dict[int, float]) ->
             step = -float(np.nansum(slope * error)) / power if power > 0.0 else 0.0
             times = {**times, j: times[j] + step}
             change = max(change, abs(step))
-        if change < _SETTINGS.settled * min(record.sample_period for record in records):
+        if change < _SETTINGS.settled * period:
             break
-    return times
+    steps = {j: time / period for j, time in times.items()}
+    return {
+        j: period * (round(step) if abs(step - round(step)) < _SETTINGS.rounding else step)
+        for j, step in steps.items()
+    }
 
 
 def is_all_that_is_missing(moved: Discovery | None) -> bool:
