@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import eoi_jax as eoi
-from eoi_jax.data.late_outputs import without_lateness
+from eoi_jax.data.late_outputs import late_outputs, without_lateness
 
 PERIOD = 0.01
 TIME = PERIOD * np.arange(1500)
@@ -82,6 +82,14 @@ def test_the_reader_moves_it(tmp_path: Path, late: float) -> None:
     between = "with values from a spline" in record.notes[-1]
     assert between == (late == 0.074)
     assert f"`speed` moved to {late:g} s earlier" in record.notes[-1]
+
+
+@pytest.mark.filterwarnings("error")
+@pytest.mark.parametrize("error", [np.nan, np.inf, 0.0])
+def test_runs_that_are_not_scored_or_diverge_or_are_exact_tell_nothing(error: float) -> None:
+    record = logged(0.07)
+    for part in (record, record[:12]):
+        assert late_outputs([part], [np.full(part.outputs.shape, error)], ("x", "v")) == {}
 
 
 def test_gaps_move_as_well() -> None:
