@@ -8,6 +8,7 @@ import numpy as np
 
 from eoi_jax._status import Status
 from eoi_jax.discovery.confirm import beyond_noise, explained_by_inputs, is_undecided
+from eoi_jax.discovery.judge import mean_error
 from eoi_jax.discovery.remarks import Reason
 from eoi_jax.discovery.result import Added, Discovery
 from eoi_jax.discovery.rules import RULES
@@ -94,6 +95,17 @@ def telling_runs(discovery: Discovery) -> Validation | None:
     if windows is None or whole is None:
         return windows or whole
     return whole if windows.scored < _RULES.scored * whole.scored else windows
+
+
+def log_error_ratio(trial: Discovery, rival: Discovery) -> float:
+    """Logarithm of the errors of the free runs of an answer over those of another one.
+
+    Both on held-out records of their own, as whole runs and in windows; infinite without runs.
+    """
+    if trial.after is None or rival.after is None:
+        return np.inf
+    errors = mean_error((trial.after, trial.windows_after))
+    return errors - mean_error((rival.after, rival.windows_after))
 
 
 def stands_in(added: Sequence[Added]) -> bool:

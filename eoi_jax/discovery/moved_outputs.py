@@ -12,9 +12,8 @@ import numpy as np
 from eoi_jax.data.late_outputs import late_outputs, without_lateness
 from eoi_jax.data.record import Record
 from eoi_jax.discovery.confirm import beyond_noise
-from eoi_jax.discovery.doubts import telling_runs
+from eoi_jax.discovery.doubts import log_error_ratio, telling_runs
 from eoi_jax.discovery.in_free_runs import begun_search
-from eoi_jax.discovery.judge import mean_error
 from eoi_jax.discovery.remarks import HoldNote
 from eoi_jax.discovery.result import Discovery
 from eoi_jax.discovery.rules import RULES
@@ -130,11 +129,8 @@ def is_all_that_is_missing(moved: Discovery | None) -> bool:
 
 def better_of(moved: Discovery | None, discovery: Discovery) -> Discovery:
     """The answer on moved outputs, where it predicts them far better than the other one its own."""
-    if moved is None or moved.after is None or discovery.after is None:
-        return discovery
-    errors = [mean_error((answer.after, answer.windows_after)) for answer in (moved, discovery)
-              if answer.after is not None]  # fmt: skip
-    return moved if errors[0] - errors[1] < np.log(RULES.answer.confirmed) else discovery
+    limit = np.log(RULES.answer.confirmed)
+    return moved if moved is not None and log_error_ratio(moved, discovery) < limit else discovery
 
 
 _MOVED = (

@@ -17,9 +17,8 @@ from numpy.lib.stride_tricks import sliding_window_view
 
 from eoi_jax.data.record import Record
 from eoi_jax.discovery.confirm import beyond_noise
-from eoi_jax.discovery.doubts import telling_runs
+from eoi_jax.discovery.doubts import log_error_ratio, telling_runs
 from eoi_jax.discovery.input_noise import is_white, white_deviation
-from eoi_jax.discovery.judge import mean_error
 from eoi_jax.discovery.remarks import HoldNote
 from eoi_jax.discovery.result import Discovery
 from eoi_jax.discovery.rules import RULES
@@ -60,15 +59,12 @@ def with_rests(
         return discovery
     rival = search(at_rest(records), at_rest(held_out))
     explains = ("complete", "nothing_missing")
-    if rival.after is None or (
-        discovery.status.code in explains and rival.status.code not in explains
-    ):
+    if discovery.status.code in explains and rival.status.code not in explains:
         return discovery
-    errors = [mean_error((answer.after, answer.windows_after)) for answer in (rival, discovery)
-              if answer.after is not None]  # fmt: skip
+    change = log_error_ratio(rival, discovery)
     is_simpler = len(rival.added) < len(discovery.added)
     # An effect that lowers them by less would be left out elsewhere.
-    if errors[0] - errors[1] >= (RULES.judge.min_fall if is_simpler else -RULES.judge.min_fall):
+    if change >= (RULES.judge.min_fall if is_simpler else -RULES.judge.min_fall):
         return discovery
     units = discovery.declared.nominal.units
     levels = " and ".join(
@@ -77,7 +73,7 @@ def with_rests(
     dropped = {item.label for item in discovery.added} - {item.label for item in rival.added}
     names = " with ".join(sorted(dropped))
     not_needed = _IN_PLACE.format(names) if is_simpler else ""
-    ratio = np.exp(errors[0] - errors[1])
+    ratio = np.exp(change)
     text = _AT_REST.format(levels, ", ".join(noise), ratio, not_needed)
     return replace(rival, notes=(HoldNote(text), *rival.notes))
 

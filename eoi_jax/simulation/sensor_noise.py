@@ -64,9 +64,8 @@ def is_exact(run: Validation) -> bool:
 
 
 def _bound(run: Validation) -> Float[np.ndarray, " ny"]:
-    scored = run.scored_at or tuple(np.ones(len(record), bool) for record in run.records)
     predicted = [prediction.outputs for prediction in run.predictions]
-    parts = zip(run.records, predicted, scored, strict=True)
+    parts = zip(run.records, predicted, run.scored_masks, strict=True)
     return np.max([_of_record(*part) for part in parts], axis=0)
 
 

@@ -52,13 +52,17 @@ class Validation(Result):
     substeps: int = field(default=0, metadata=WHERE_SET)
 
     @property
+    def scored_masks(self) -> tuple[Bool[np.ndarray, " time"], ...]:
+        """`scored_at`; of a result of an earlier version all samples."""
+        return self.scored_at or tuple(np.ones(len(record), bool) for record in self.records)
+
+    @property
     def residual(self) -> list[Float[np.ndarray, "time ny"]]:
         """y − ŷ, one array (N, ny) for each record, NaN where not scored [unit of y]."""
-        scored = self.scored_at or tuple(np.ones(len(record), bool) for record in self.records)
         return [
             np.where(samples[:, None], record.known_outputs - prediction.outputs, np.nan)
             for record, prediction, samples in zip(
-                self.records, self.predictions, scored, strict=True
+                self.records, self.predictions, self.scored_masks, strict=True
             )
         ]
 
